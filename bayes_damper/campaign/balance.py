@@ -13,14 +13,13 @@ integrated, so nothing drifts. A least-squares fit of J2 and of the dampings is 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
-from bayes_damper.campaign.declarations import frequency_ratios
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import Trial, channel_columns, natural_period
 
@@ -47,8 +46,13 @@ class _Sum:
     explained: float
 
 
-def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
-    """Adds what the coupled trials say of the second channel: a copy, noise alone, another scale, another clock."""
+def look_at_balance(
+    head: Head, trials: Sequence[Trial], off: Mapping[str, float], faults: list[str], warnings: list[str]
+) -> None:
+    """Adds what the coupled trials say of the second channel: a copy, noise alone, another scale, another clock.
+
+    off : `frequency_ratios` of the cases
+    """
     cases: dict[str, list[Trial]] = {}
     for trial in trials:
         named = len(trial.channels) == 2 and (_is_copy(trial, head, faults) or _is_noise(trial, head, warnings))
@@ -60,7 +64,6 @@ def look_at_balance(head: Head, trials: Sequence[Trial], faults: list[str], warn
     declared = rig.secondary_inertia
     wrong: dict[str, float] = {}
     sure = False
-    off = frequency_ratios(head, trials)
     unseen: set[str] = set()  # cases whose spring no uncoupled trial shows
     for case, own in cases.items():
         still = [t for t in own if not t.driven]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from bayes_damper.campaign.balance import look_at_balance
-from bayes_damper.campaign.declarations import look_at_declarations, look_at_starts
+from bayes_damper.campaign.declarations import frequency_ratios, look_at_declarations, look_at_starts
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_declared, check_magnitudes
 from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial
@@ -52,11 +52,12 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
     of_records: list[str] = []
     if not head.broken:
         check_declared(head, trials, faults, warnings)
-        look_at_balance(head, trials, faults, warnings)
+        swings = frequency_ratios(head, trials)
+        look_at_balance(head, trials, swings, faults, warnings)
     for trial in trials:
         if not head.broken:
             check_magnitudes(head, trial, faults, of_records)
-            look_at_trial(head, trial, of_records)
+            look_at_trial(head, trial, swings.get(trial.case, 1.0), of_records)
     if trials and all(t.holdout for t in trials):
         faults.append(
             "trials.csv: every trial is marked holdout, so nothing is left to fit: mark one of the repeats of each case"

@@ -46,8 +46,11 @@ _GROWS = 0.4  # of the largest excursion, which a free decay exceeds within its 
 _FEW = 3  # readings at rest, and in the first swing, that show which way it goes
 
 
-def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
-    """Everything about one record that can be handled but should be known."""
+def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) -> None:
+    """Everything about one record that can be handled but should be known.
+
+    swings : frequency of the primary on the spring of this case, over the declared one
+    """
     _look_at_clock(head, trial, warnings)
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
     grows = _growth(trial) if head.measurement.start == "free" and not trial.driven else []
@@ -62,7 +65,7 @@ def look_at_trial(head: Head, trial: Trial, warnings: list[str]) -> None:
         )
     released = head.measurement.start == "rest" and trial.theta0 is not None
     if released and not any(filled_in) and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
-        _look_at_release(head, trial, omega, warnings)
+        _look_at_release(head, trial, swings * omega, warnings)
     warnings += grows
 
 

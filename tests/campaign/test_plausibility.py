@@ -150,6 +150,16 @@ def test_a_release_declared_half_as_large_again_in_one_case_is_named(tmp_path):
     assert any("another release than declared: case small 0.6" in w for w in found)
 
 
+def test_a_spring_that_is_wrong_is_no_late_release(tmp_path):
+    """It is softer than declared, so the motion takes longer to leave the noise."""
+    records = [noisy(s, 0.1 * np.exp(-0.05 * TIMES) * np.cos(0.3 * OMEGA * TIMES)) for s in (1, 2)]
+    found = cart(tmp_path / "soft", records)
+    assert any("swings at another frequency" in w for w in found)
+    assert not any("motion begins" in w for w in found), found
+    late = cart(tmp_path / "late", [np.where(TIMES < 0.5, 0.1, np.roll(x, 15)) for x in records])
+    assert any("motion begins" in w for w in late)
+
+
 def test_a_strongly_damped_case_is_not_said_to_have_another_release(tmp_path):
     records = [noisy(i, swing(TIMES, 0.1, d)) for i, d in enumerate([0.1, 0.1, 1.2, 1.2])]
     found = cart(tmp_path / "damped", records, case=lambda i: "light" if i < 2 else "damped")
