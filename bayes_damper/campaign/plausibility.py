@@ -243,12 +243,7 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     early = trial.times[0] < -_BESIDE * step and onset < -_BESIDE * step
     held = held_at(head, trial)
     if early and held is not None and (y[0] > 0.0) == (trial.theta0.value > 0.0):
-        at, declared = (motion_in_words(x, head.rig.kind) for x in (abs(float(held[0])), level))
-        warnings.append(
-            f"{trial.file}: before the release the primary stands {at} from 0, not {declared} as theta0 "
-            "says; correct theta0 in trials.csv (where `init` made the campaign, --theta0 or {theta0} in "
-            "--pattern), or the sensor's zero or scale (--offset, --units)"
-        )
+        warnings.append(f"{trial.file}: before the release {_elsewhere(head, float(held[0]), level)}")
     elif early and power == 0 and sign * y[0] < -0.3 * float(np.max(np.abs(y))):
         warnings.append(_reversed(trial, _OTHER_SIDE))
     elif early:
@@ -269,9 +264,11 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     )
     if times[0] <= _BESIDE * step and not early and (middle or away_at_once):
         reversed_sign = away_at_once or (power != 1 and sign * first < -0.3 * largest)
-        looks = "the sign of the channel looks reversed, or " if reversed_sign else ""
+        looks = "; the sign of the channel looks reversed, or " if reversed_sign else "; "
+        if power == 0 and sign * first > begins * largest:  # it never swings farther
+            looks = f": {_elsewhere(head, float(y[0]), level)}, or "
         warnings.append(
-            f"{trial.file}: the first readings are not those of a release; "
+            f"{trial.file}: the first readings are not those of a release"
             f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"
         )
     elif onset > USUAL_LAG[quantity] / omega + _BESIDE * step and times[0] <= _BESIDE * step:
@@ -279,6 +276,16 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
             f"{trial.file}: motion begins {onset:.4g} s after the nominal release; the trigger came early, the rig "
             "stuck or was let go slowly, or the sensor is slow; fits infer the instant of each release"
         )
+
+
+def _elsewhere(head: Head, at: float, level: float) -> str:
+    """Words for a primary that stands elsewhere than declared; at, level : rad (m), by the readings and by theta0."""
+    stands, declared = (motion_in_words(abs(x), head.rig.kind) for x in (at, level))
+    return (
+        f"the primary stands {stands} from 0, not {declared} as theta0 says; correct theta0 in trials.csv "
+        "(where `init` made the campaign, --theta0 or {theta0} in --pattern), or the sensor's zero or scale "
+        "(--offset, --units)"
+    )
 
 
 def _first_of(times: Array, y: Array, power: int, omega: float, onset: float) -> float:

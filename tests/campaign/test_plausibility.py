@@ -150,6 +150,18 @@ def test_a_release_declared_half_as_large_again_in_one_case_is_named(tmp_path):
     assert any("another release than declared: case small 0.6" in w for w in found)
 
 
+def test_a_release_declared_half_as_large_again_in_all_cases_is_named(tmp_path):
+    """The records were said to begin after the motion began, which others do."""
+    found = cart(tmp_path / "declared", [noisy(s, swing(TIMES)) for s in (1, 2)], theta0=150.0)
+    said = [w for w in found if "not those of a release" in w]
+    assert len(said) == 2
+    assert re.search(r"body 1 stands (99.\d|100) mm from 0, not 150 mm as theta0 says; correct theta0 in tri", said[0])
+    assert said[0].endswith(", or the record begins after the motion began")
+    found = cart(tmp_path / "late", [noisy(s, swing(TIMES + 0.8)) for s in (1, 2)], theta0=90.0)
+    assert sum(w.endswith("not those of a release; the record begins after the motion began") for w in found) == 2
+    assert not any("not those" in w for w in cart(tmp_path / "sound", [noisy(s, swing(TIMES)) for s in (1, 2)]))
+
+
 def test_a_spring_that_is_wrong_is_no_late_release(tmp_path):
     """It is softer than declared, so the motion takes longer to leave the noise."""
     records = [noisy(s, 0.1 * np.exp(-0.05 * TIMES) * np.cos(0.3 * OMEGA * TIMES)) for s in (1, 2)]
