@@ -15,7 +15,7 @@ from bayes_damper.campaign.balance import look_at_balance
 from bayes_damper.campaign.declarations import frequency_ratios, look_at_declarations, look_at_starts
 from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_declared, check_magnitudes
-from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial
+from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial, look_for_exchanged_trials
 from bayes_damper.campaign.record_files import read_trial
 from bayes_damper.campaign.structure import Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows
@@ -52,8 +52,10 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
     of_records: list[str] = []
     if not head.broken:
         check_declared(head, trials, faults, warnings)
-        swings = frequency_ratios(head, trials)
-        look_at_balance(head, trials, swings, faults, warnings)
+        exchanged = look_for_exchanged_trials(head, trials, warnings)
+        known = [t for t in trials if t not in exchanged]
+        swings = frequency_ratios(head, known)
+        look_at_balance(head, known, swings, faults, warnings)
     for trial in trials:
         if not head.broken:
             check_magnitudes(head, trial, faults, of_records)
@@ -67,7 +69,7 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     LOG.info("read %s: %d trials, %d readings", folder, len(trials), sum(t.channels.size for t in trials))
-    look_at_declarations(head, trials, warnings)
+    look_at_declarations(head, known, warnings)
     look_at_starts(head, trials, warnings)
     look_at_repeats(head, trials, warnings)
     look_at_rates(head, trials, of_records)

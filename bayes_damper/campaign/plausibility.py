@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,7 @@ not rest first; and within which they then reach what a release has, where it ju
 _APART, _OF_MOTION = 4.0, 0.1  # times the distance of repeats from each other, and of their rms, of one that is odd
 _COMMON = 8  # readings in which repeats are compared, at least
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
+_ALIKE = 0.25  # of its distance from its own repeats, up to which a trial is like one of another case
 _SPRINGS = 0.02  # by which a trial's spring may differ from that of its repeats
 _PACES = np.linspace(1.0 - 0.5 * _SPRINGS, 1.0 + 0.5 * _SPRINGS, 81)  # of its repeats' time, at which it then runs
 _TURNED = "; where `init` made the campaign, run it again with --sign -1 (coupled: one for each channel, such as -1 1)"
@@ -497,23 +500,51 @@ def _at_another_pace(times: Array, curves: Array, odd: int) -> float:
 
 
 def _looks_like(odd: Trial, quantity: str, away: float, trials: Sequence[Trial]) -> str | None:
-    """The other case that an odd trial is like: near one of its trials, measured alike, a quarter of `away` or less."""
-    found = []
-    for other in trials:
-        if other.case == odd.case or len(other.channels) != len(odd.channels):
-            continue
-        clocks = odd.times - _onset(odd, quantity), other.times - _onset(other, quantity)
-        grid = clocks[0][(clocks[0] > 0.0) & (clocks[0] <= clocks[1][-1])]
-        if len(grid) < _COMMON:
-            continue
-        y, x = (
-            np.stack([np.interp(grid, clock, channel) for channel in trial.channels])
-            for clock, trial in zip(clocks, (odd, other), strict=True)
-        )
-        size = float(np.sqrt(np.mean(x**2))) or 1.0
-        found.append((float(np.sqrt(np.mean((x - y) ** 2))) / size, other.case))
-    nearest, case = min(found, default=(math.inf, ""))
-    return case if nearest < 0.25 * away else None
+    """The other case that an odd trial is like: near one of its trials, measured alike."""
+    nearest, case = min(((_unlike(odd, t, quantity), t.case) for t in trials if t.case != odd.case), default=(away, ""))
+    return case if nearest < _ALIKE * away else None
+
+
+def _unlike(odd: Trial, other: Trial, quantity: str) -> float:
+    """Rms difference of two trials from the release of the other one on, over its rms; inf where none can be taken."""
+    clocks = odd.times - _onset(replace(odd, theta0=other.theta0), quantity), other.times - _onset(other, quantity)
+    grid = clocks[0][(clocks[0] > 0.0) & (clocks[0] <= clocks[1][-1])]
+    if len(grid) < _COMMON or len(other.channels) != len(odd.channels):
+        return math.inf
+    y, x = (
+        np.stack([np.interp(grid, clock, channel) for channel in trial.channels])
+        for clock, trial in zip(clocks, (odd, other), strict=True)
+    )
+    return float(np.sqrt(np.mean((x - y) ** 2))) / (float(np.sqrt(np.mean(x**2))) or 1.0)
+
+
+def look_for_exchanged_trials(head: Head, trials: Sequence[Trial], warnings: list[str]) -> list[Trial]:
+    """Names two trials of a case, and two of another, that are alike across the cases only; those trials.
+
+    Where a case has more repeats, `look_at_repeats` names the odd one.
+    """
+    quantity, found = head.measurement.quantity, list[Trial]()
+
+    def unlike(a: Trial, b: Trial) -> float:
+        return min(_unlike(a, b, quantity), _unlike(b, a, quantity))
+
+    groups = groups_of([t for t in trials if t.theta0 is not None and not t.driven]).values()
+    pairs = [
+        (a, b)
+        for a, b in (group for group in groups if len(group) == 2)
+        if (a.theta0, a.k1t) == (b.theta0, b.k1t) and unlike(a, b) > _UNLIKE
+    ]
+    for (a, b), (c, d) in combinations(pairs, 2):
+        apart = unlike(a, b), unlike(c, d)
+        for x, y in ((c, d), (d, c)):
+            if max(unlike(a, x), unlike(b, y)) < _ALIKE * min(apart):
+                warnings.append(
+                    f"{a.file}: like {x.file} of case {x.case}, and {b.file} like {y.file}, but repeats are "
+                    f"{apart[0]:.0%} and {apart[1]:.0%} apart: two of these records look exchanged between the cases; "
+                    "correct their names in trials.csv"
+                )
+                found += [a, b, c, d]
+    return found
 
 
 def _look_for_exchanged_twin(group: Sequence[Trial], warnings: list[str]) -> bool:

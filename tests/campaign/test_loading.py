@@ -692,6 +692,20 @@ def test_trials_filed_under_each_other_s_case_are_told_with_the_case_that_they_a
         assert f"like the trials of case {case}: a wrong name?" in told[f"trials/{name}.csv"]
 
 
+@pytest.mark.parametrize(("a", "b"), [("I_uncoupled_2", "IV_uncoupled_1"), ("II_coupled_1", "IV_coupled_2")])
+def test_repeats_exchanged_between_two_cases_of_two_are_named_and_nothing_else(tmp_path: Path, a: str, b: str) -> None:
+    """Which of two is odd nobody can see; springs, releases and second channels had been blamed."""
+    folder = write_synthetic(tmp_path, CASES, repeats=2)
+    sound = load_campaign(folder).warnings
+    names = [folder / f"trials/{name}.csv" for name in (a, b)]
+    for path, text in zip(names, [path.read_text(encoding="utf-8") for path in reversed(names)], strict=True):
+        path.write_text(text, encoding="utf-8")
+    (told,) = set(load_campaign(folder).warnings) - set(sound)
+    for case, configuration in (name.split("_")[:2] for name in (a, b)):
+        assert all(f"trials/{case}_{configuration}_{k}.csv" in told for k in (1, 2))
+    assert "two of these records look exchanged between the cases" in told
+
+
 def test_a_file_of_a_campaign_in_place_of_its_folder_is_told_as_one(folder: Path) -> None:
     assert faults_of(folder / "trials.csv") == [
         f"{folder / 'trials.csv'}: a file; give the folder that holds it, {folder}"

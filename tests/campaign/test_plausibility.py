@@ -162,6 +162,27 @@ def test_a_release_declared_half_as_large_again_in_all_cases_is_named(tmp_path):
     assert not any("not those" in w for w in cart(tmp_path / "sound", [noisy(s, swing(TIMES)) for s in (1, 2)]))
 
 
+@pytest.mark.parametrize("repeats", [2, 3])
+def test_displacements_of_two_cases_that_are_exchanged_are_named(tmp_path, repeats):
+    """Their first readings are not at the declared release, and begin with it nevertheless."""
+    sizes = [*[0.1] * repeats, *[0.06] * repeats]
+    case, declared = (lambda i: "large" if i < repeats else "small"), [1e3 * size for size in sizes]
+    sound = [noisy(i, swing(TIMES, a)) for i, a in enumerate(sizes)]
+    assert not any("like" in w for w in cart(tmp_path / "sound", sound, theta0=declared, case=case))
+    sound[0], sound[-1] = sound[-1], sound[0]
+    found = cart(tmp_path / "exchanged", sound, theta0=declared, case=case)
+    if repeats == 3:
+        for file, other in (("0.csv", "small"), ("5.csv", "large")):
+            assert any(
+                w.startswith(file) and f"it is like the trials of case {other}: a wrong name?" in w for w in found
+            )
+    else:
+        (told,) = [w for w in found if "exchanged" in w]
+        assert told.startswith("0.csv: like 2.csv of case small")
+        assert all(f"{i}.csv" in told for i in range(4))
+        assert not any("another release" in w for w in found)
+
+
 def test_a_spring_that_is_wrong_is_no_late_release(tmp_path):
     """It is softer than declared, so the motion takes longer to leave the noise."""
     records = [noisy(s, 0.1 * np.exp(-0.05 * TIMES) * np.cos(0.3 * OMEGA * TIMES)) for s in (1, 2)]
