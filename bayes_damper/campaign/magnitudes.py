@@ -97,7 +97,7 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
                 f"spring itself, {trial.k1t.value:g}; give the standard uncertainty in the same unit"
             )
     for theta0, trial in {t.theta0: t for t in trials if t.theta0 is not None and not t.driven}.items():
-        if theta0 is not None and theta0.std > abs(theta0.value) > 0.0:
+        if theta0.std > abs(theta0.value) > 0.0:
             (warnings if theta0.std == LEAST_STD * TO_SI[rig.kind] else faults).append(
                 f"trials.csv: case {trial.case}: theta0 is smaller than its standard uncertainty, so the sign of the "
                 f"release is open; give {TRIAL_COLUMNS[rig.kind][3]} in the unit of theta0 (without it {LEAST_STD:g} "
