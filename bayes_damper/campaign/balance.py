@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
+from bayes_damper.campaign.declarations import wiring_of
 from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.structure import Trial, channel_columns, natural_period
 
@@ -85,6 +86,14 @@ def look_at_balance(
                 head, case, filtered, found, own_swing, otherwise, warnings, as_declared=True
             ):
                 wrong[case], sure = found.inertia, True
+            continue
+        turned = _balance(head, filtered, 0.0, own_swing, sign=-1.0)
+        if turned and turned.explained > _SHOWN and _OFF[0] < turned.inertia / declared.value < _OFF[1]:
+            if not any(wiring_of(head, trial) == "reversed" for trial in still):  # else each of them is named
+                warnings.append(
+                    f"case {case}: the torques on both bodies add up to zero only if the sign of the second channel is "
+                    f"reversed; where `init` made the campaign, run it again with --sign 1 -1{otherwise}"
+                )
             continue
         other_unit = found.inertia > _UNIT * declared.value or _taken(head, filtered, own_swing) > _TAKES
         if found.explained > _FAINT and other_unit:
@@ -260,10 +269,10 @@ def _is_clipped(head: Head, trial: Trial) -> bool:
     return any(look.flat_tops_of(trial.times, y, look.noise_floor_of(y), omega, held) for y in trial.channels)
 
 
-def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float) -> _Sum | None:
+def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float, sign: float = 1.0) -> _Sum | None:
     """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
 
-    own_swing : k1t/J1 as uncoupled trials show it, over the declared one.
+    own_swing : k1t/J1 as uncoupled trials show it, over the declared one; sign : of the second channel.
 
     None where the records hold too little.
     """
@@ -273,7 +282,7 @@ def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: flo
     rows: list[Array] = []
     targets: list[Array] = []
     for filtered in trials:
-        (th1, w1, a1), (th2, w2, a2) = filtered.first, filtered.second(lag)
+        (th1, w1, a1), (th2, w2, a2) = filtered.first, (sign * x for x in filtered.second(lag))
         beside = rig.inertial_coupling.value
         mine = (rig.primary_inertia.value + beside) * a1 + own_swing * filtered.trial.k1t.value * th1
         targets.append(mine + beside * a2 + rig.ground2_stiffness.value * th2)

@@ -19,32 +19,39 @@ TIMES = np.arange(1000) * STEP
 C1, C2, C3 = 0.011, 0.06, 0.009
 
 
-def accelerations():
-    """Of both bodies, released together from 4.7 deg; (2, n) rad/s^2, by the matrix exponential."""
+def motion(quantity):
+    """Of both bodies, released together from 4.7 deg; (2, n) rad/s^2 or rad/s, by the matrix exponential."""
     stiffness = np.array([[K1 + K2, -K2], [-K2, K2]]) / np.array([[J1], [J2]])
     damping = np.array([[C1 + C2, -C2], [-C2, C3 + C2]]) / np.array([[J1], [J2]])
     whole = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
     step, state, found = expm(STEP * whole), math.radians(4.7) * np.array([1.0, 1.0, 0.0, 0.0]), []
     for _ in TIMES:
-        found.append((whole @ state)[2:])
+        found.append((whole @ state)[2:] if quantity == "acceleration" else state[2:])
         state = step @ state
     return np.array(found).T
 
 
-def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0):
+def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity="acceleration"):
     """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`.
 
-    spring : declared k1t; alone : uncoupled trials beside them
+    spring : declared k1t; alone : uncoupled trials beside them, of accelerations
     """
+    names, noise = {
+        "acceleration": (["alpha1_rad_s2", "alpha2_rad_s2"], 0.5), "velocity": (["omega1_rad_s", "omega2_rad_s"], 0.02),
+    }[quantity]  # fmt: skip
     rng = np.random.default_rng(4)
     (folder / "trials").mkdir(parents=True)
-    text = CAMPAIGN_TOML.replace("2.474e-3", repr(inertia)).replace("noise_std = 2.0\n", "")
+    text = (
+        CAMPAIGN_TOML.replace("2.474e-3", repr(inertia))
+        .replace("noise_std = 2.0\n", "")
+        .replace("acceleration", quantity)
+    )
     (folder / "campaign.toml").write_text(text)
     rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,trial"]
     for k in range(3):
-        first, second = accelerations() + rng.normal(0.0, 0.5, (2, TIMES.size))
+        first, second = motion(quantity) + rng.normal(0.0, noise, (2, TIMES.size))
         columns = [TIMES, first, change(np.array([first, second]))]
-        write_table(folder / f"trials/{k}.csv", ["time_s", "alpha1_rad_s2", "alpha2_rad_s2"], columns)
+        write_table(folder / f"trials/{k}.csv", ["time_s", *names], columns)
         rows.append(f"trials/{k}.csv,IV,coupled,{spring},4.7,{k + 1}")
     for k in range(alone):
         own = decay(TIMES, math.radians(4.7), K1, 0.03) + rng.normal(0.0, 0.5, TIMES.size)
@@ -117,6 +124,18 @@ def test_a_late_channel_that_another_inertia_would_balance_is_said_to_be_late(tm
     assert "only if the second channel is 8.6 to 21 ms late" in found
     assert "secondary_inertia" not in found
     assert "add up to zero" not in remarks(tmp_path / "sound", second)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_a_second_channel_that_is_turned_round_shows_by_the_sum_of_torques(tmp_path, monkeypatch, factor):
+    """A weak coupling: after the release the second body hardly moves. A wrong inertia is not taken for that."""
+    for name, value in (("K2", 0.8), ("C2", 0.003)):
+        monkeypatch.setattr(sys.modules[__name__], name, value)
+    said = "case IV: the torques on both bodies add up to zero only if the sign of the second channel is reversed"
+    text = remarks(tmp_path / "turned", lambda y: -y[1], factor * J2, quantity="velocity")
+    assert (said in text) == (factor == 1.0)
+    assert "its sign looks reversed" not in text
+    assert "sign" not in remarks(tmp_path / "sound", second, factor * J2, quantity="velocity")
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])
