@@ -30,6 +30,7 @@ _OF_DECLARED = 3.0  # times offset_std
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
+_LEAP, _FINE = 3.0, 0.5  # times the fastest motion that follows; radians of the oscillation from reading to reading
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _BEGINS = {"displacement": 0.8, "velocity": 0.3, "acceleration": 0.4}
 """First readings of a release: a displacement is above this share of theta0, a velocity below this share of its
@@ -73,7 +74,7 @@ def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) 
 
 
 def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool, warnings: list[str]) -> bool:
-    """What is odd about one channel; whether most of its readings were filled in.
+    """What is odd about one channel; whether most of its readings, or the first of them, were not measured.
 
     omega : rad/s of the rig; grows : whether a free motion gains energy.
     """
@@ -95,8 +96,9 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             "counts each reading several times; give the readings as they were measured"
         )
         return True
-    held_for = _held_for(head, trial, y)
-    stuck = look.standstill_of(y[held_for:], step)
+    frozen = _frozen_for(trial, y, omega) if head.measurement.quantity == "displacement" else 0
+    held_for = frozen or _held_for(head, trial, y)
+    stuck = (-frozen, 0) if frozen else look.standstill_of(y[held_for:], step)
     if stuck is not None:
         first, last = held_for + stuck[0], held_for + stuck[1] - 1
         start, end = float(trial.times[first]), float(trial.times[last])
@@ -136,7 +138,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
         _tell_offset(head, trial, where, offset, warnings)
     if given is not None and noise > 0.0 and not reacts and not 1.0 / _NOISE <= noise / given[i] <= _NOISE:
         warnings.append(f"{where}: noise is about {noise:.3g}, noise_std says {given[i]:.3g}; check unit and sensor")
-    return False
+    return frozen > 0
 
 
 def _tell_offset(head: Head, trial: Trial, where: str, offset: float, warnings: list[str]) -> None:
@@ -151,6 +153,17 @@ def _tell_offset(head: Head, trial: Trial, where: str, offset: float, warnings: 
             f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
             "[measurement] of campaign.toml lets fits infer it"
         )
+
+
+def _frozen_for(trial: Trial, y: Array, omega: float) -> int:
+    """Equal readings with which a displacement begins that then leaps, as nothing does that is let go; else 0.
+
+    omega : rad/s of the rig; a record of few readings in its period has no leaps
+    """
+    speeds = np.abs(np.diff(y) / np.diff(trial.times))
+    count = int(np.argmax(speeds > 0.0)) + 1
+    leaps = look.STOPPED <= count < speeds.size and speeds[count - 1] > _LEAP * np.max(speeds[count:])
+    return count if leaps and omega * float(np.median(np.diff(trial.times))) < _FINE else 0
 
 
 def _held_for(head: Head, trial: Trial, y: Array) -> int:

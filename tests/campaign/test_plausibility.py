@@ -119,6 +119,36 @@ def test_rest_before_a_release_is_no_sensor_that_stopped(tmp_path):
         assert any("stands still" in w for w in found) == stopped, found
 
 
+@pytest.mark.parametrize("begin", [0.0, -0.3])
+@pytest.mark.parametrize("start", ["rest", "free"])
+def test_a_displacement_that_stands_still_at_first_and_then_leaps_is_named(tmp_path, begin, start):
+    """It had been a rig that is held, and a release that came late."""
+    times = np.arange(begin, 12.0, 1.0 / 300.0)
+    records = [noisy(s, np.where(times < 0.0, 0.1, swing(times))) for s in (1, 2)]
+    assert not any("stands still" in w for w in cart(tmp_path / "sound", records, times=times, start=start))
+    for record in records:
+        record[:200] = record[0]
+    found = cart(tmp_path / "frozen", records, times=times, start=start)
+    said = [w for w in found if "stands still at" in w]
+    assert len(said) == 2
+    assert f"from {begin:g} to {begin + 199.0 / 300.0:.4g} s, 200 equal readings" in said[0]
+    assert not any("motion begins" in w or "first readings" in w for w in found)
+
+
+@pytest.mark.parametrize("rate", [15.0, 60.0, 1000.0])
+@pytest.mark.parametrize("held", [0.02, 0.8])
+@pytest.mark.parametrize("damping", [0.02, 0.5, 1.0, 8.0])
+@pytest.mark.parametrize("step", [0.0, 1e-3])
+def test_a_rig_that_is_held_and_let_go_does_not_leap(tmp_path, rate, held, damping, step):
+    """However fast it is read, rounded, damped, and let go some time after t = 0."""
+    times = np.arange(-1.0, 12.0, 1.0 / rate)
+    t = np.maximum(times - held, 0.0) * OMEGA
+    root = np.emath.sqrt(damping**2 - 1.0) or 1e-6
+    x = 0.1 * np.real(np.exp(-damping * t) * (np.cosh(root * t) + damping / root * np.sinh(root * t)))
+    found = cart(tmp_path / "held", [step * np.round(x / step) if step else x], times=times)
+    assert not any("stands still" in w and "from -1 to" in w for w in found), found
+
+
 def test_a_record_that_ends_in_mid_swing_rests_nowhere(tmp_path):
     times = np.arange(0.0, 1.6, 1.0 / 300.0)  # a swing and a half, seen at ten times the rate
     found = cart(tmp_path / "short", [noisy(s, swing(times)) for s in (1, 2)], times=times)
