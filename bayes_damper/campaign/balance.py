@@ -311,4 +311,5 @@ def _stretch(trial: Trial) -> tuple[float, float]:
     large = np.flatnonzero(np.abs(y) > max(0.02 * float(np.max(np.abs(y))), 6.0 * look.noise_floor_of(y)))
     if large.size < 2:
         return float(trial.times[0]), float(trial.times[0])
-    return float(trial.times[min(large[0] + 2, trial.times.size - 1)]), float(trial.times[large[-1]])
+    first = max(large[0], np.searchsorted(trial.times, 0.0))  # before, a hand balances the torques of displacements
+    return float(trial.times[min(first + 2, trial.times.size - 1)]), float(trial.times[large[-1]])

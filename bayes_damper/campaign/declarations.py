@@ -151,7 +151,8 @@ def _moving(trial: Trial) -> tuple[float, float]:
     large = np.flatnonzero(np.abs(y) > max(_STILL * float(np.max(np.abs(y))), 8.0 * look.noise_floor_of(y)))
     if large.size == 0:
         return float(trial.times[0]), float(trial.times[0])
-    return float(trial.times[large[0]]), float(trial.times[large[-1]])
+    start, end = (float(t) for t in trial.times[large[[0, -1]]])
+    return min(max(start, 0.0), end), end  # a displacement is large before the release too
 
 
 def _frequency(trials: Sequence[Trial]) -> tuple[float, float] | None:

@@ -219,6 +219,8 @@ def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held
     record is no sign: the rig is held there.
     """
     levels: list[float] = []
+    if held_at_first:
+        readings = readings[times >= min(0.0, times[-1])]
     centre = float(np.median(readings))
     step = resolution_of(readings)
     dt = float(np.median(np.diff(times)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign.balance import _stretch
+from bayes_damper.campaign.declarations import _moving
 from bayes_damper.cli import main
 from bayes_damper.errors import InputError
 
@@ -83,6 +86,15 @@ def test_a_second_body_that_is_not_held_beside_the_first_is_told_with_what_to_do
 @pytest.mark.parametrize("begin", [0, HELD])
 def test_bodies_released_together_are_not_remarked_on(tmp_path, x2, begin):
     assert not carts(tmp_path / "sound", x2=x2, begin=begin)
+
+
+@pytest.mark.parametrize("held", [10, 100, 400])
+def test_a_rig_that_is_held_moves_from_its_release_on(held):
+    """What holds it is no spring and no force between bodies: first swings had been too small, second channels late."""
+    times = STEP * np.arange(-held, 1500)
+    trial = SimpleNamespace(times=times, channels=np.where(times < 0.0, 0.02, 0.02 * np.cos(20.0 * times))[None])
+    assert _moving(trial)[0] == pytest.approx(0.0, abs=1e-9)
+    assert _stretch(trial)[0] == pytest.approx(2.0 * STEP, abs=1e-9)
 
 
 def test_zeros_of_the_sensors_do_not_set_the_bodies_apart(tmp_path):

@@ -119,6 +119,14 @@ def test_rest_before_a_release_is_no_sensor_that_stopped(tmp_path):
         assert any("stands still" in w for w in found) == stopped, found
 
 
+@pytest.mark.parametrize("held", [0.1, 0.5, 1.0])
+def test_a_displacement_that_is_held_before_the_release_is_sound(tmp_path, held):
+    """It had been called clipped, or released from less than declared: the first period began with the rest."""
+    times = np.arange(-held, 12.0, 1.0 / 300.0)
+    records = [noisy(s, np.where(times < 0.0, 0.1, swing(times))) for s in range(6)]
+    assert not cart(tmp_path / "held", records, times=times)
+
+
 @pytest.mark.parametrize("begin", [0.0, -0.3])
 @pytest.mark.parametrize("start", ["rest", "free"])
 def test_a_displacement_that_stands_still_at_first_and_then_leaps_is_named(tmp_path, begin, start):
