@@ -41,7 +41,7 @@ def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], cam
     still = math.inf if any(t.driven for t in campaign.trials) else limits["drag"].most / _TORQUES
     for name, given in values.items():
         for value in given:
-            for x, given_as in _held(value):
+            for x, given_as, cause in _held(value):
                 if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
                     yield f"{where}: tail: {given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
                 elif name == "drag" and isinstance(value, float) and x > still:
@@ -51,20 +51,21 @@ def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], cam
                     )
                 elif name in limits and abs(x) > limits[name].most:
                     most, what = limits[name].most, limits[name].what
-                    yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its unit"
+                    yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its {cause}"
                 else:
                     continue
                 break
 
 
-def _held(value: Distribution | float) -> Iterator[tuple[float, str]]:
-    """What of a fixed value or a prior is held against the limits, with its name."""
+def _held(value: Distribution | float) -> Iterator[tuple[float, str, str]]:
+    """What of a fixed value or a prior is held against the limits, with its name and what makes it too large."""
     if isinstance(value, float):
-        yield value, f"{value:g}"
+        yield value, f"{value:g}", "unit"
         return
-    for share, name in ((0.5, "a median"), (0.25, "a lower quartile"), (0.75, "an upper quartile")):
+    quantiles = ((0.5, "a median", "unit"), (0.25, "a lower quartile", "width"), (0.75, "an upper quartile", "width"))
+    for share, name, cause in quantiles:
         x = float(value.ppf(share))
-        yield x, f"{name} of {x:g}"
+        yield x, f"{name} of {x:g}", cause
 
 
 def _limits(campaign: Campaign) -> dict[str, _Limit]:

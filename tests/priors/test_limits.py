@@ -37,7 +37,7 @@ def campaign(tmp_path_factory):
         ({"delay": 10.0}, "delay: 10 cannot be: .* longest record"),
         ({"sigma1": 1e9}, "sigma1: 1e.09 cannot be: .* 1000 times the largest reading"),
         ({"drag": {"dist": "lognormal", "median": 0.01, "factor": 1e29, "unit": "N m"}},
-         "drag: an upper quartile of .* cannot be: above .* could not move it"),
+         "drag: an upper quartile of .* cannot be: above .* could not move it; check its width"),
         ({"k2t": {"dist": "normal", "mean": 1.0, "sd": 1e29, "unit": "N m/rad"}}, "k2t: a lower quartile of -.* one"),
         ({"nu": {"dist": "loguniform", "lower": 1e-29, "upper": 1e29, "unit": "s/rad"}}, "nu: an upper quartile"),
         ({"tail": {"dist": "normal", "mean": 0.5, "sd": 1e29, "unit": "1"}}, "tail: a lower quartile .* have -1 to 2"),
