@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration.hum import mains_in
-from bayes_damper.campaign import Campaign, Constant
+from bayes_damper.campaign import Campaign, Constant, Trial
 from bayes_damper.campaign.records import (
     DERIVATIVE,
     STEPS_OF_DOUBT,
@@ -525,6 +525,25 @@ def reaction_unit(campaign: Campaign) -> float:
     return inertia * _omega(stiffness, inertia) ** (2 - DERIVATIVE[campaign.measurement.quantity])
 
 
+def _releases(campaign: Campaign) -> list[Release]:
+    """Where each record begins. No more than half of them are set to a late beginning that may be a slow one.
+
+    That is for all of them or for none: a slow sensor shows the motion a little later in one record than in another.
+    """
+    measurement, inertia = campaign.measurement, campaign.rig.primary_inertia.value
+
+    def release(t: Trial, latest: float) -> Release:
+        if measurement.start != "rest" or t.given or t.theta0 is None:
+            return Release()
+        first = np.array(np.atleast_2d(t.channels)[0], float)
+        omega = _omega(t.k1t.value, inertia)
+        return release_of(np.array(t.times, float), first, measurement.quantity, t.theta0.value, omega, latest)
+
+    begins, slow = ([release(t, latest) for t in campaign.trials] for latest in (0.5, 1.0))
+    late = sum(a.shift != b.shift for a, b in zip(begins, slow, strict=True))
+    return slow if 2 * late <= len(begins) else begins
+
+
 def experiment_of(
     campaign: Campaign, priors: PriorSet | Mapping[str, Distribution | float] | None = None
 ) -> Experiment:
@@ -544,13 +563,9 @@ def experiment_of(
     scatter = dict(campaign.scatter)
     apart = scatter.pop("theta0", 0.0)
     reaction = reaction_unit(campaign) if any(t.prescribed for t in campaign.trials) else 1.0
-    for t in campaign.trials:
+    for t, begins in zip(campaign.trials, _releases(campaign), strict=True):
         angle = Constant(0.0) if t.theta0 is None else t.theta0
         times, channels = np.array(t.times, float), np.atleast_2d(np.array(t.channels, float))
-        begins = Release()
-        if measurement.start == "rest" and not t.given:
-            omega = _omega(t.k1t.value, constants["J1"][0])
-            begins = release_of(times, channels[0], measurement.quantity, angle.value, omega)
         inputs = t.inputs(measurement)
         if inputs is not None and inputs.motion is not None:
             inputs = replace(inputs, unit=reaction)

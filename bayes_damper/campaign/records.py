@@ -67,13 +67,16 @@ def departure(times: Array, readings: Array, quantity: str, theta0: float) -> tu
     return np.abs(sign * readings - level), max(DEPARTS[0] * look.noise_floor_of(readings, times), DEPARTS[1] * reach)
 
 
-def release_of(times: Array, readings: Array, quantity: str, theta0: float, omega: float) -> Release:
+def release_of(
+    times: Array, readings: Array, quantity: str, theta0: float, omega: float, latest: float = 0.5
+) -> Release:
     """Where a record of a rig released from rest begins, and how much its clock is off.
 
     Velocities and displacements that begin late by no more than a slow release takes may be either, and the clock of
     single records would be set or not as noise has it: it is left, with as much doubt.
 
-    times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring.
+    times : (n,) s, nominal release at 0; readings : (n,) of the primary; omega : rad/s of the primary on its spring;
+    latest : of `LONGEST_RELEASE`, up to which such a record may begin late.
     """
     usable = np.isfinite(readings)
     if usable.sum() < 8 or theta0 == 0.0:
@@ -101,7 +104,7 @@ def release_of(times: Array, readings: Array, quantity: str, theta0: float, omeg
             start, low, high = _bend(t, y, k, theta0, DERIVATIVE[quantity], omega, noise)
     if abs(start) <= STEPS_OF_DOUBT * step:
         return Release(first, 0.0, max(-low, high, 0.0) if start == 0.0 else 0.0)
-    if quantity != "acceleration" and 0.0 < start <= 0.5 * LONGEST_RELEASE / omega:
+    if quantity != "acceleration" and 0.0 < start <= latest * LONGEST_RELEASE / omega:
         return Release(first, 0.0, max(start + step, high))
     keep = max(int(np.searchsorted(times, start, side="right")) - 1, 0)
     shift = float(times[keep])
