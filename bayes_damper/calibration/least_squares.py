@@ -34,6 +34,7 @@ GAINED = 0.02  # of the cost by a step, below which a descent has ended
 OF_EXCESS = 1e-4  # the same, of what is left beyond noise: the last nats of a model that misses by far decide nothing
 NEAR_END = 0.1  # of the way to where a value's prior ends that a step along the values leaves
 HOPELESS, HURRY = 60.0, 6.0  # cost above a target, and in how many such steps it must be reachable, to go on
+NEARLY = 0.01  # share of the way to a target, of which no more is left where a descent goes on however slow it is
 FAR_BEHIND = 600.0  # cost above a target from which forward differences are good enough for the evidence
 DRAWN, STARTS = 512, 6  # draws from the prior, and the best of them from which descents begin
 MOST_SENT = 12_000_000  # bytes of a fit's derivatives up to which they are sent: a dozen fits are on their way at once
@@ -286,6 +287,7 @@ def _descend(
     cost = float(problem.costs(q[None], {i: v[None] for i, v in eta.items()}, annealed)[0])
     if not math.isfinite(cost):
         return _End(cost, q, eta, False, 0)
+    near = max(HOPELESS, NEARLY * (cost - target))
     for iteration in range(1, most + 1):
         normals = problem.linearise(q, eta, annealed=annealed).normal()
         accepted = False
@@ -306,7 +308,7 @@ def _descend(
         end = _End(cost, q, eta, ended, iteration)
         if end.converged or (known is not None and _alike(end, known)):
             return end
-        if math.isfinite(target) and iteration >= 3 and cost - target > HOPELESS and HURRY * gained < cost - target:
+        if math.isfinite(target) and iteration >= 3 and cost - target > near and HURRY * gained < cost - target:
             return end
     return _End(cost, q, eta, False, most)
 
