@@ -75,7 +75,8 @@ class Variant:
     start : (p, rig) -> (z1, z2), memory at release
     sense : (h, u1, u2, y1, y2, s1, s2, p, first) -> (m1, m2, s1, s2): true readings y now and u an internal step h
         (s) ago, sensor states s; m is what the channels show. At the first reading after release h = 0 and
-        first = 1.0, and u is the reading at rest. With `sensor_states` = 2 it takes s1, s2, v1, v2 and gives them back.
+        first = 1.0, and u is the reading at rest. With `sensor_states` = 2 it takes s1, s2, v1, v2 and gives them back,
+        with 3 also r1, r2.
 
     Python hooks, vectorised over n parameter vectors; `p` maps parameter names to arrays (n,):
 
@@ -101,7 +102,7 @@ class Variant:
     memory_scale: tuple[float, ...] = ()
     """For each memory state, the change that matters as much as 1 rad/s of velocity does: weighs its error."""
     sense: Kernel | None = None
-    sensor_states: Literal[1, 2] = 1
+    sensor_states: Literal[1, 2, 3] = 1
     """Number of states of each channel's sensor: the order of a filter."""
     lag: Callable[[Mapping[str, Any]], tuple[Any, Any]] | None = None
     amend: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]] | None = None

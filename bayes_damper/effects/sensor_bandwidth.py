@@ -2,6 +2,7 @@
 
     tau dm/dt = y - m                                  in both channels, in one, or in both with a lag of T
     tau^2 d2m/dt2 + 2 zeta tau dm/dt = y - m           in both channels: two poles
+    the same of r with tau dr/dt = y - r               in both channels: three poles
 
 Source: Doebelin (2004), Measurement Systems, sec. 3.3 (instruments of first and second order).
 """
@@ -11,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from bayes_damper.effects._filters import follow, follow2, low_pass
+from bayes_damper.effects._filters import follow, follow2, follow3, low_pass
 from bayes_damper.effects.base import Effect, EffectParameter, Variant
 from bayes_damper.priors.distributions import HalfNormal, LogNormal
 from bayes_damper.rig.vector_math import lane
@@ -42,6 +43,14 @@ def two_poles(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
 
 
 @lane
+def three_poles(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
+    """The same low-pass of third order in both channels."""
+    m1, n1, r1 = follow3(h, u1, y1, s1, v1, r1, p[0], p[1], first)
+    m2, n2, r2 = follow3(h, u2, y2, s2, v2, r2, p[0], p[1], first)
+    return m1, m2, m1, m2, n1, n2, r1, r2
+
+
+@lane
 def channel1(h, u1, u2, y1, y2, s1, s2, p, first):
     """A low-pass in the primary's channel."""
     m1 = follow(h, u1, y1, s1, p[0], first)
@@ -63,6 +72,10 @@ def lag(p: Mapping[str, Any]) -> tuple[Any, Any]:
 TIME = EffectParameter(
     "time", "s", "Time constant of the filter.", HalfNormal(0.003),
     "Corner frequencies of conditioners lie from some 50 Hz up, time constants from 3 ms down.", 0.0,
+)  # fmt: skip
+DAMPING = EffectParameter(
+    "damping", "1", "Damping ratio of the pair of poles.", LogNormal(0.8, 1.35),
+    "Filters of data loggers of second (third) order: Butterworth 0.71 (0.5), Bessel 0.87 (0.72), equal stages 1.",
 )  # fmt: skip
 STARTS = ((0.00005,), (0.0005,), (0.002,), (0.005,))
 
@@ -108,17 +121,20 @@ EFFECT = Effect(
         Variant(
             name="two_poles",
             formula="tau^2 d2m/dt2 + 2 zeta tau dm/dt = y - m in both channels, from the reading at rest",
-            parameters=(
-                TIME,
-                EffectParameter(
-                    "damping", "1", "Damping ratio of the filter.", LogNormal(0.8, 1.35),
-                    "Filters of data loggers: Butterworth 0.71, Bessel 0.87, two equal stages 1.",
-                ),
-            ),
+            parameters=(TIME, DAMPING),
             sense=two_poles,
             sensor_states=2,
             late=1.6,
             starts=tuple((time, zeta) for zeta in (0.6, 1.0) for (time,) in STARTS),
+        ),
+        Variant(
+            name="three_poles",
+            formula="tau^2 d2m/dt2 + 2 zeta tau dm/dt = r - m, tau dr/dt = y - r in both channels, from rest",
+            parameters=(TIME, DAMPING),
+            sense=three_poles,
+            sensor_states=3,
+            late=2.5,
+            starts=tuple((time, zeta) for zeta in (0.5, 0.75) for (time,) in STARTS),
         ),
         Variant(
             name="channel1",

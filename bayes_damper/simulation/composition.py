@@ -92,7 +92,14 @@ def _shifted(v: Variant, start: int) -> Variant:
         return start
 
     def moved_sense(kernel: Kernel) -> Kernel:
-        if v.sensor_states == 2:
+        if v.sensor_states == 3:
+
+            @lane
+            def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
+                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
+                return kernel(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, own, first)
+
+        elif v.sensor_states == 2:
 
             @lane
             def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
@@ -216,12 +223,22 @@ def _both_amendments(acting: list[Variant], labels: Labels) -> Callable[..., Map
 
 
 @lru_cache(maxsize=1024)  # the same kernel for the same sensor
-def sensor_of_one_state(kernel: Kernel) -> Kernel:
-    """A sensor of one state in each channel, as `advance` calls it."""
+def sensor_of_three_states(kernel: Kernel, states: int) -> Kernel:
+    """A sensor of up to three states in each channel, as `advance` calls it."""
+    if states == 1:
 
-    @lane
-    def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
-        m1, m2, n1, n2 = kernel(h, u1, u2, y1, y2, s1, s2, p, first)
-        return m1, m2, n1, n2, v1, v2
+        @lane
+        def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
+            m1, m2, n1, n2 = kernel(h, u1, u2, y1, y2, s1, s2, p, first)
+            return m1, m2, n1, n2, v1, v2, r1, r2
 
+    elif states == 2:
+
+        @lane
+        def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
+            m1, m2, n1, n2, o1, o2 = kernel(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first)
+            return m1, m2, n1, n2, o1, o2, r1, r2
+
+    else:
+        return kernel
     return sense

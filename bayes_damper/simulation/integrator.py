@@ -73,8 +73,8 @@ SAMPLE, SLOT, ATTEMPTS, GIVEN_UP = range(61, 65)
 DRIVE1, DRIVE2, SHOWN, RAMP1, RAMP2, RISE = range(65, 71)
 DRIVE1_NEXT, DRIVE2_NEXT, SHOWN_NEXT, RAMP1_NEXT, RAMP2_NEXT, RISE_NEXT = range(71, 77)
 MORE = 77  # and the seven after it
-V1, V2 = 85, 86  # second states of the sensors
-BLOCK_ROWS = 87
+V1, V2, R1, R2 = range(85, 89)  # second and third states of the sensors
+BLOCK_ROWS = 89
 
 
 @lru_cache(maxsize=None, typed=True)  # True, 1 and 1.0 are equal, but different constants
@@ -126,9 +126,9 @@ def effect_start(p, rig):
 
 
 @vector_math.lane
-def effect_sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
+def effect_sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
     """Sensors that show what there is."""
-    return y1, y2, s1, s2, v1, v2
+    return y1, y2, s1, s2, v1, v2, r1, r2
 
 
 def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
@@ -443,22 +443,30 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 old2 = block[S2, lane]
                 past1 = block[V1, lane]
                 past2 = block[V2, lane]
+                oldest1 = block[R1, lane]
+                oldest2 = block[R2, lane]
                 delay = block[DELAY, lane]
                 u1 = rest1 if first > 0.5 else u1
                 u2 = rest2 if first > 0.5 else u2
                 after = block[AFTER, lane]
                 released = (rest > 0.0) or (after >= delay)
                 since = block[HLAST, lane]
-                m1, m2, s1, s2, v1, v2 = effect_sense(since, u1, u2, y1, y2, old1, old2, past1, past2, p, first)
+                m1, m2, s1, s2, v1, v2, r1, r2 = effect_sense(
+                    since, u1, u2, y1, y2, old1, old2, past1, past2, oldest1, oldest2, p, first
+                )
                 held = block[NOW, lane] < delay
                 # The sensors show a rig that is still held as they show everything: scaled, clipped, long settled.
-                h1, h2, _, _, _, _ = effect_sense(0.0, rest1, rest2, rest1, rest2, old1, old2, past1, past2, p, 1.0)
+                h1, h2, _, _, _, _, _, _ = effect_sense(
+                    0.0, rest1, rest2, rest1, rest2, old1, old2, past1, past2, oldest1, oldest2, p, 1.0
+                )
                 block[Y1, lane] = h1 if held else m1
                 block[Y2, lane] = h2 if held else m2
                 block[S1, lane] = s1 if released else old1
                 block[S2, lane] = s2 if released else old2
                 block[V1, lane] = v1 if released else past1
                 block[V2, lane] = v2 if released else past2
+                block[R1, lane] = r1 if released else oldest1
+                block[R2, lane] = r2 if released else oldest2
                 block[U1, lane] = y1
                 block[U2, lane] = y2
                 block[FIRST, lane] = 0.0 if released else 1.0

@@ -31,7 +31,7 @@ from bayes_damper.rig.cache_folder import cache_folder, mark_used
 from bayes_damper.rig.equations import Rig
 from bayes_damper.runs.content_hash import code_of
 from bayes_damper.simulation import integrator, late_binding
-from bayes_damper.simulation.composition import sensor_of_one_state
+from bayes_damper.simulation.composition import sensor_of_three_states
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
@@ -39,13 +39,13 @@ _SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, float64, _ROW, _CUBE, _R
 """Of the arguments of `advance`."""
 _P = types.UniTuple(float64, MOST_PARAMETERS)  # type: ignore[no-untyped-call]
 _RIG = types.NamedUniTuple(float64, len(Rig._fields), Rig)  # type: ignore[no-untyped-call]
-_TWO, _SIX = (types.UniTuple(float64, n) for n in (2, 6))  # type: ignore[no-untyped-call]
+_TWO, _EIGHT = (types.UniTuple(float64, n) for n in (2, 8))  # type: ignore[no-untyped-call]
 _MOTION = (float64,) * 7
 _SPECIAL: dict[str, Any] = {
     "effect_torque": _TWO(*_MOTION, _P, _RIG),
     "effect_rate": _TWO(*_MOTION, _P, _RIG),
     "effect_start": _TWO(_P, _RIG),
-    "effect_sense": _SIX(*_MOTION, float64, float64, _P, float64),
+    "effect_sense": _EIGHT(*_MOTION, *(float64,) * 4, _P, float64),
     **dict.fromkeys(("coupled", "pendulum", "linear_normal_force", "frictionless", "driven"), types.boolean()),
     **dict.fromkeys(("prescribed", "swings", "curved", "acts", "timed", "senses", "starts"), types.boolean()),
     **dict.fromkeys(("couples", "memory"), int64()),
@@ -82,8 +82,8 @@ def specialised_globals(
     if variant is not None:
         hooks = {f"effect_{name}": getattr(variant, name) for name in ("torque", "rate", "start", "sense")}
         scales = (*variant.memory_scale, 1.0, 1.0)
-        if variant.sense is not None and variant.sensor_states == 1:
-            hooks["effect_sense"] = sensor_of_one_state(variant.sense)
+        if variant.sense is not None:
+            hooks["effect_sense"] = sensor_of_three_states(variant.sense, variant.sensor_states)
         bound |= {name: hook for name, hook in hooks.items() if hook is not None}
         bound |= {
             "frictionless": integrator.constant(variant.replaces_friction),

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.signal import TransferFunction, lsim
+from scipy.signal import StateSpace, TransferFunction, lsim
 
 from bayes_damper.effects import (
     EFFECTS,
@@ -25,7 +25,7 @@ from bayes_damper.effects import (
     load_effects,
     scaled,
 )
-from bayes_damper.effects._filters import low_pass2
+from bayes_damper.effects._filters import low_pass2, low_pass3
 from bayes_damper.errors import InputError
 from bayes_damper.priors.distributions import HalfNormal, LogNormal, LogUniform, Normal, Uniform
 from bayes_damper.rig import equations
@@ -460,6 +460,23 @@ def test_low_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
         assert m2 == pytest.approx(-jump)  # at rest it has settled
 
 
+@pytest.mark.parametrize("zeta", [0.5, 0.7235, 0.98, 1.0, 1.6])
+@pytest.mark.parametrize("h", [1e-6, 3e-4, 5e-3])
+def test_low_pass_of_third_order_answers_steps_and_ramps_exactly(zeta, h):
+    tau, jump, slope = 2e-3, 70.0, -9e3
+    sense = EFFECTS["sensor_bandwidth"].variant("three_poles").sense.py_func
+    times = np.arange(120) * h
+    s = -1.0 / tau
+    k = np.array([[s, 0.0, 0.0], [0.0, 0.0, 1.0 / tau], [1.0 / tau, s, 2.0 * zeta * s]])  # of r, m, tau dm/dt
+    filtered = StateSpace(k, [[-s], [0.0], [0.0]], [[0.0, 1.0, 0.0]], [[0.0]])
+    shown = lsim(filtered, jump + slope * times, times)[1]
+    m1, m2, *s = sense(0.0, 0.0, -jump, jump, -jump, *(0.0,) * 6, (tau, zeta), 1.0)
+    for t, m in zip(times[:-1], shown[1:], strict=True):
+        m1, m2, *s = sense(h, jump + slope * t, -jump, jump + slope * (t + h), -jump, *s, (tau, zeta), 0.0)
+        assert m1 == pytest.approx(m, abs=0.05)  # the reading jumps a microsecond before the first sample
+        assert m2 == pytest.approx(-jump)  # at rest it has settled
+
+
 @pytest.mark.parametrize("zeta", [0.5, 0.9999999, 1.0, 1.6])
 def test_high_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
     rate, jump, slope, h = 60.0, 70.0, -9e3, 3e-4
@@ -473,6 +490,12 @@ def test_high_pass_of_second_order_answers_steps_and_ramps_exactly(zeta):
         m1, m2, *s = sense(h, jump + slope * t, 0.0, jump + slope * (t + h), 0.0, *s, (rate, zeta), 0.0)
         assert m1 == pytest.approx(m, abs=1e-8 * jump)
         assert m2 == 0.0
+
+
+def test_filters_of_third_order_are_smooth_where_a_step_is_short():
+    about = 1e-3 * (1.0 + np.array([-1e-9, 1e-9]))
+    below, above = (low_pass3.py_func(x, 3.0, 5.0, 0.4, -2.0, 2.5, 1.0, 0.7) for x in about)
+    assert above == pytest.approx(below, abs=1e-9)
 
 
 def test_filters_of_second_order_are_smooth_where_a_step_is_short():

@@ -101,7 +101,7 @@ KINDS: dict[str, Kind] = {
              lambda r: (_channel(r, 0.0, 1.0),), BOTH, coupled=True, definition=True),
         Kind("sensor_delay", 20, "sensor", "an all-pass of first order that lags by p0, channel p1", 0.03, 0.6,
              lambda r: (_channel(r, 0.0, 1.0),), coupled=True),
-        Kind("sensor_bandwidth", 21, "sensor", "Bessel low-pass of third order, corner 1/p0, both channels", 0.05,
+        Kind("sensor_bandwidth", 21, "sensor", "Bessel low-pass of fourth order, corner 1/p0, both channels", 0.05,
              1.0, least=0.004),
         Kind("sensor_highpass", 22, "sensor", "Butterworth high-pass of third order, corner p0, both channels", 0.05,
              1.0, least=1e-3),

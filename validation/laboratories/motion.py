@@ -29,7 +29,7 @@ derivative that is measured; kref : the stiffest spring of the laboratory; ramp 
 """
 J1, J2, K1, K3, C1, C3, K2, C2, FRICTION, DRAG, NU, FACE, FADING = range(13)
 LAW, PENDULUM, QUANTITY, COUPLED, THETA0, A_, W_, KREF, RAMP = range(13, 22)
-MEMORY = 6
+MEMORY = 8
 NUMBERS = 5  # amplitude and shape of a disturbance
 
 
@@ -238,14 +238,15 @@ def derivative(t: float, x: Array, g: Array, codes: NDArray[np.int64], P: Array,
         p0, p1 = P[i, 0], P[i, 1]
         if c == 13:  # heat of the dry friction, over what it takes to slide by A
             out[s] = max(0.0, dry * v) / (g[FRICTION] * a)
-        elif c == 21:  # sensor_bandwidth: Bessel's polynomial of third order, in units of its delay
-            wn = w0 / p0 / 1.7557
+        elif c == 21:  # sensor_bandwidth: Bessel's polynomial of fourth order, in units of its delay
+            wn = w0 / p0 / 2.1139
             for k in range(2):
                 y = x[k] if g[QUANTITY] == 0.0 else (x[2 + k] if g[QUANTITY] == 1.0 else out[2 + k])
-                r = s + 3 * k
+                r = s + 4 * k
                 out[r] = wn * x[r + 1]
                 out[r + 1] = wn * x[r + 2]
-                out[r + 2] = wn * (15.0 * (y - x[r]) - 15.0 * x[r + 1] - 6.0 * x[r + 2])
+                out[r + 2] = wn * x[r + 3]
+                out[r + 3] = wn * (105.0 * (y - x[r]) - 105.0 * x[r + 1] - 45.0 * x[r + 2] - 10.0 * x[r + 3])
         elif c == 22:  # sensor_highpass: Butterworth's polynomial of third order
             wn = p0 * w0
             for k in range(2):
@@ -294,7 +295,7 @@ def shown(t: float, x: Array, rates: Array, g: Array, codes: NDArray[np.int64], 
             elif c == 20 and _of_channel(p1, k) and p0 > 0.0:  # sensor_delay
                 y[k] = 2.0 * x[s + 2 * k] - y[k]
             elif c == 21:  # sensor_bandwidth
-                y[k] = x[s + 3 * k]
+                y[k] = x[s + 4 * k]
             elif c == 22:  # sensor_highpass
                 r = s + 3 * k
                 y[k] = y[k] - x[r] - 2.0 * x[r + 1] - 2.0 * x[r + 2]
@@ -341,7 +342,7 @@ def start(g: Array, codes: NDArray[np.int64], P: Array) -> Array:
             x[s] = p0 * g[K1] / g[J1] * x[0] / (p0 * g[K1] / g[J1] + (p1 * g[W_]) ** 2)
         elif 20 <= c <= 22 or c == 54:  # settled at the reading at rest
             for k in range(2):
-                x[s + (3 if c in (21, 22) else 2) * k] = x[k] if g[QUANTITY] == 0.0 else 0.0
+                x[s + (4 if c == 21 else 3 if c == 22 else 2) * k] = x[k] if g[QUANTITY] == 0.0 else 0.0
     return x
 
 
