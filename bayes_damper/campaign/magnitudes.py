@@ -16,8 +16,8 @@ from bayes_damper.text import counted
 
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
 _NOT_NEGATIVE = (
-    *("primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull", "ground2_stiffness"),
-)
+    "primary_inertia", "secondary_inertia", "bar_radius", "magnet_radius", "magnet_pull", "ground2_stiffness",
+)  # fmt: skip
 
 _POSSIBLE = {
     "magnet_pull": (1e-6, 1e6, "N"), "magnet_radius": (1e-6, 1e2, "m"), "bar_radius": (1e-6, 1e3, "m"),
