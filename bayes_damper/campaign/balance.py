@@ -87,8 +87,7 @@ def look_at_balance(
             ):
                 wrong[case], sure = found.inertia, True
             continue
-        turned = _balance(head, filtered, 0.0, own_swing, sign=-1.0)
-        if turned and turned.explained > _SHOWN and _OFF[0] < turned.inertia / declared.value < _OFF[1]:
+        if _is_reversed(_balance(head, filtered, 0.0, own_swing, sign=-1.0), declared.value):
             if not any(wiring_of(head, trial) == "reversed" for trial in still):  # else each of them is named
                 warnings.append(
                     f"case {case}: the torques on both bodies add up to zero only if the sign of the second channel is "
@@ -267,6 +266,11 @@ def _is_clipped(head: Head, trial: Trial) -> bool:
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
     held = head.measurement.quantity == "displacement" and head.measurement.start == "rest"
     return any(look.flat_tops_of(trial.times, y, look.noise_floor_of(y), omega, held) for y in trial.channels)
+
+
+def _is_reversed(found: _Sum | None, declared: float) -> bool:
+    """Whether a sum with the sign of the second channel reversed is that of the torques, with about the declared J2."""
+    return found is not None and found.explained > _SHOWN and _OFF[0] < found.inertia / declared < _OFF[1]
 
 
 def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float, sign: float = 1.0) -> _Sum | None:

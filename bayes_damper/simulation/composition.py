@@ -92,26 +92,12 @@ def _shifted(v: Variant, start: int) -> Variant:
         return start
 
     def moved_sense(kernel: Kernel) -> Kernel:
-        if v.sensor_states == 3:
+        padded = sensor_of_three_states(kernel, v.sensor_states)
 
-            @lane
-            def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
-                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
-                return kernel(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, own, first)
-
-        elif v.sensor_states == 2:
-
-            @lane
-            def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, p, first):
-                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
-                return kernel(h, u1, u2, y1, y2, s1, s2, v1, v2, own, first)
-
-        else:
-
-            @lane
-            def sense(h, u1, u2, y1, y2, s1, s2, p, first):
-                own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
-                return kernel(h, u1, u2, y1, y2, s1, s2, own, first)
+        @lane
+        def sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
+            own = (p[i0], p[i1] * g1, p[i2] * g2, p[i3] * g3)
+            return padded(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, own, first)
 
         return sense
 
@@ -121,6 +107,7 @@ def _shifted(v: Variant, start: int) -> Variant:
         rate=None if v.rate is None else moved(v.rate),
         start=None if v.start is None else moved_start(v.start),
         sense=None if v.sense is None else moved_sense(v.sense),
+        sensor_states=1 if v.sense is None else 3,
     )
 
 
