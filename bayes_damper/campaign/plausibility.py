@@ -100,10 +100,9 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
     held_for = frozen or _held_for(head, trial, y)
     stuck = (-frozen, 0) if frozen else look.standstill_of(y[held_for:], step)
     if stuck is not None:
-        first, last = held_for + stuck[0], held_for + stuck[1] - 1
-        start, end = float(trial.times[first]), float(trial.times[last])
+        start, end = trial.times[held_for + stuck[0]], trial.times[held_for + stuck[1] - 1]
         warnings.append(
-            f"{where}: stands still at {y[first]:.4g} from {start:.4g} to {end:.4g} s, "
+            f"{where}: stands still at {y[held_for + stuck[0]]:.4g} from {start:.4g} to {end:.4g} s, "
             f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
         )
     if step > noise:
