@@ -11,6 +11,7 @@ from test_scatter import laboratory
 
 from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal
 from bayes_damper.calibration.latency import latency_in_words, latency_of, with_latency, with_own_instants
+from bayes_damper.calibration.scatter import own_values
 from bayes_damper.campaign.records import release_of
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.diagnosis.search import Screen, fit_variant, screen_variant
@@ -118,3 +119,29 @@ def test_a_slow_sensor_is_found_behind_clocks_that_seem_late():
     assert value == pytest.approx(tau, abs=4.0 * sd)
     assert sd < 0.1 * tau
     assert found.fit.parameters["effect.damping"][0] == pytest.approx(zeta, abs=0.05)
+
+
+def test_accelerations_behind_a_slow_sensor_are_near_zero_after_the_release_too():
+    """Instants before a first reading near zero were excluded: `unknown` 0.94 at the release."""
+    tau, zeta = 1.2e-3, 0.75
+    rng = np.random.default_rng(4)
+    since = 1e-5 * np.arange(61_000)
+    damped = OMEGA * np.sqrt(1.0 - ZETA**2)
+    decay = np.exp(-ZETA * OMEGA * since)
+    y = -ANGLE * OMEGA**2 * decay * (np.cos(damped * since) - ZETA * OMEGA / damped * np.sin(damped * since))
+    shown = lsim(lti([1.0], np.polymul([tau**2, 2.0 * zeta * tau, 1.0], [tau, 1.0])), y, since)[1]
+    made, instants = swings(0.0), STEP * rng.uniform(-0.5, 0.5, 6)
+    trials = tuple(
+        replace(t, y=np.interp(t.times - late, since, shown, left=0.0)[None] + 0.5 * rng.standard_normal(t.y.shape))
+        for t, late in zip(made.trials, instants, strict=True)
+    )
+    fit = calibrate_nominal(replace(made, trials=trials, quantity="acceleration"), nominal="linear")
+    slow = EFFECTS["sensor_bandwidth"]
+    formula = slow.variant("three_poles")
+    found = fit_variant(fit, slow, formula, screen_variant(Screen(fit), formula), 3).fit
+    for name, true in (("time", tau), ("damping", zeta)):
+        value, sd = found.parameters[f"effect.{name}"]
+        assert value == pytest.approx(true, abs=4.0 * sd)
+    off = own_values(found, "delay") - instants
+    assert np.std(off) < 0.02 * STEP
+    assert abs(np.mean(off)) < 0.2 * STEP  # all alike, as a filter that is a little slower does
