@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration.hum import mains_in
 from bayes_damper.campaign import Campaign, Constant, Trial
+from bayes_damper.campaign.readings import noise_floor_of
 from bayes_damper.campaign.records import (
+    DEPARTS,
     DERIVATIVE,
     STEPS_OF_DOUBT,
     Release,
@@ -193,6 +195,11 @@ class Experiment:
         """
         return self.quantity == "acceleration"
 
+    @cached_property
+    def rises_slowly(self) -> bool:
+        """Whether an acceleration at the release is neither that of the peak nor at rest, as behind a slow sensor."""
+        return self.quantity == "acceleration" and any(_risen_in_part(t) for t in self.trials)
+
     @property
     def training(self) -> tuple[int, ...]:
         """Indices of the trials that models are fitted to."""
@@ -265,14 +272,27 @@ def release_window(trial: TrialRecord, quantity: str) -> tuple[float, float]:
         return -doubt, (doubt if trial.times[0] <= 0.0 else 0.0)
     if trial.times[0] > 0.0 or trial.times.size < 4:
         return -dt, 0.0
+    held = _held_readings(trial)
+    if held == 0:
+        return float(trial.times[0]) - dt, float(trial.times[0])
+    return float(trial.times[held - 1]), float(trial.times[held])
+
+
+def _held_readings(trial: TrialRecord) -> int:
+    """Number of first accelerations that are small beside the peak, up to three."""
     y = np.abs(np.nan_to_num(trial.y[0]))
     peak = float(np.max(y[1:6]))
     held = 0
     while held < y.size - 2 and y[held] < 0.3 * peak and held < 3:
         held += 1
-    if held == 0:
-        return float(trial.times[0]) - dt, float(trial.times[0])
-    return float(trial.times[held - 1]), float(trial.times[held])
+    return held
+
+
+def _risen_in_part(trial: TrialRecord) -> bool:
+    if trial.times.size < 4 or not trial.theta0 or not (held := _held_readings(trial)):
+        return False
+    y = np.nan_to_num(trial.y[0])
+    return bool(abs(y[held - 1]) > DEPARTS[0] * noise_floor_of(y, trial.times))
 
 
 def lone(experiment: Experiment, trials: Sequence[int]) -> bool:

@@ -278,8 +278,8 @@ class Grouping:
         # A rig seen held at the first reading bounds the release from below; else the logger may be later yet.
         first, own = np.array([t.times[0] for t in trials]), self.switches.scatter.sd(RELEASE) > 0.0
         begins = first if own or self.switches.slow else low  # one that takes its time begins unseen
-        if self.experiment.quantity == "acceleration":  # as any does behind a slow sensor
-            begins = first - (high - low)
+        if self.experiment.rises_slowly:
+            begins = first - (high - low)  # of some a slow sensor shows nothing in the first reading after it
         slack = np.where(low >= first, (low - begins) / half - 1e-6, 0.4)
         if own and self.experiment.quantity == "acceleration":  # and may last as long as any
             last = high + LONGEST_RELEASE / np.array([self.experiment.omegas[t.k1t] for t in trials])

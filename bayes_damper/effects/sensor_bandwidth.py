@@ -74,7 +74,7 @@ TIME = EffectParameter(
     "Corner frequencies of conditioners lie from some 50 Hz up, time constants from 3 ms down.", 0.0,
 )  # fmt: skip
 DAMPING = EffectParameter(
-    "damping", "1", "Damping ratio of the pair of poles.", LogNormal(0.8, 1.35),
+    "damping", "1", "Damping ratio of the filter.", LogNormal(0.8, 1.35),
     "Filters of data loggers of second (third) order: Butterworth 0.71 (0.5), Bessel 0.87 (0.72), equal stages 1.",
 )  # fmt: skip
 STARTS = ((0.00005,), (0.0005,), (0.002,), (0.005,))
