@@ -223,7 +223,8 @@ def _at_least(least: int) -> Callable[[str], int]:
 
     def read(text: str) -> int:
         if not re.fullmatch("[+-]?[0-9]{1,18}", text.strip()) or int(text) < least:
-            raise argparse.ArgumentTypeError(f"{text}: give a whole number, at least {least}")
+            fewer = " and of 18 digits at most" if len(text.strip()) > 18 else ""
+            raise argparse.ArgumentTypeError(f"{text}: give a whole number, at least {least}{fewer}")
         return int(text)
 
     return read

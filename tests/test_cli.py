@@ -79,6 +79,8 @@ def test_bad_input_is_a_sentence_and_exit_code_2(arguments, capsys, tmp_path, mo
         (["resume", "old", "--more"], "holds no plan of this version"),
         (["init", "new", "file"], "file: holds no row of numbers; name a file of the logger"),
         (["fit", "thesis", "--seed", "-1"], "argument --seed: -1: give a whole number, at least 0"),
+        (["fit", "thesis", "--seed", "1" * 29], "give a whole number, at least 0 and of 18 digits"),
+        (["init", "new", "old"], "old: a folder, not a file; say where the raw files are"),
         (["fit", "thesis", "--workers", "0"], "argument --workers: 0: give a whole number, at least 1"),
         (["simulate", "--out", "F.toml"], "--out F.toml: the values used go to that name"),
         (["bench", "--repeats", "many"], "argument --repeats: many: give a whole number, at least 1"),

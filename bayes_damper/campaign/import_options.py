@@ -230,7 +230,7 @@ def spec_from_options(
     folder = raw if raw is not None else resolved(str(options["sheet"])).parent if rows else Path()
     if not sources:
         sources = [folder / str(row["file"]) for row in rows if "file" in row]
-    faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.is_file()]
+    faults += [f"{path}: there is no such file; correct the name or --raw" for path in sources if not path.exists()]
     if not sources:
         faults.append("no logger files were given; name at least one, or a --sheet with a column 'file'")
     if faults:
