@@ -289,6 +289,7 @@ def _held_readings(trial: TrialRecord) -> int:
 
 
 def _risen_in_part(trial: TrialRecord) -> bool:
+    """Whether the last acceleration that is small beside the peak stands out from the noise."""
     if trial.times.size < 4 or not trial.theta0 or not (held := _held_readings(trial)):
         return False
     y = np.nan_to_num(trial.y[0])
@@ -546,20 +547,20 @@ def reaction_unit(campaign: Campaign) -> float:
 
 
 def _releases(campaign: Campaign) -> list[Release]:
-    """Where each record begins. No more than half of them are set to a late beginning that may be a slow one.
+    """Where each record begins. Clocks are set to late beginnings that may be slow ones where most records have one.
 
-    That is for all of them or for none: a slow sensor shows the motion a little later in one record than in another.
+    A slow sensor shows the motion a little later in one record than in another.
     """
     measurement, inertia = campaign.measurement, campaign.rig.primary_inertia.value
 
     def release(t: Trial, latest: float) -> Release:
         if measurement.start != "rest" or t.given or t.theta0 is None:
             return Release()
-        first = np.array(np.atleast_2d(t.channels)[0], float)
-        omega = _omega(t.k1t.value, inertia)
-        return release_of(np.array(t.times, float), first, measurement.quantity, t.theta0.value, omega, latest)
+        first, omega = np.atleast_2d(t.channels)[0], _omega(t.k1t.value, inertia)
+        return release_of(t.times, first, measurement.quantity, t.theta0.value, omega, latest)
 
-    begins, slow = ([release(t, latest) for t in campaign.trials] for latest in (0.5, 1.0))
+    begins = [release(t, 0.5) for t in campaign.trials]
+    slow = [release(t, 1.0) if b.shift else b for t, b in zip(campaign.trials, begins, strict=True)]
     late = sum(a.shift != b.shift for a, b in zip(begins, slow, strict=True))
     return slow if 2 * late <= len(begins) else begins
 
