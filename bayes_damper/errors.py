@@ -76,7 +76,16 @@ def as_written(path: Path | str, command: str) -> Iterator[None]:
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RuntimeError, OSError) as error:
         if isinstance(error, OSError) and error.errno in _OF_THE_DISK:
             raise
-        reason = f"{type(error).__name__}: {error}".replace("\n", " ")
         raise InputError(
-            f"{path}: damaged, or not what `bayes-damper {command}` writes ({reason[:120]}); run that command again"
+            f"{path}: damaged, or not what `bayes-damper {command}` writes ({in_words(error)[:120]}); run that command "
+            "again"
         ) from error
+
+
+def in_words(error: Exception) -> str:
+    """What is wrong with a file of results in which Python ran into this error."""
+    if isinstance(error, KeyError):
+        return f"{error} is missing"
+    if isinstance(error, AttributeError | TypeError | IndexError):
+        return "an entry is of another kind, or shorter, than it was written"
+    return str(error).replace("\n", " ")

@@ -26,6 +26,8 @@ from bayes_damper.errors import BayesDamperError
 
 SECONDS = 10.0
 """CPU time that reading one damaged folder may take; it takes milliseconds."""
+NO_SENTENCE = re.compile(r"\x1b|\b[A-Z]\w*Error\b|object has no|object is not")
+"""What no sentence has in it: what steers a terminal, and what Python says to programmers."""
 TOML_VALUES = (
     "1" + "0" * 400,
     "9" * 5000,
@@ -211,7 +213,7 @@ def tried(call: Callable[[], Any], case: str, outcome: Outcome, seconds: float =
             call()
     except BayesDamperError as error:
         sentences = getattr(error, "faults", (str(error),))
-        if not sentences or any(not s.strip() or len(s) > 5000 or "\x1b" in s for s in sentences):
+        if not sentences or any(not s.strip() or len(s) > 5000 or NO_SENTENCE.search(s) for s in sentences):
             outcome.faults[case] = f"no sentence: {sentences!r}"[:400]
         outcome.told[case] = sentences
     except TooLongError:

@@ -20,7 +20,7 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from bayes_damper.errors import ExitCode, InputError, as_written
+from bayes_damper.errors import ExitCode, InputError, as_written, in_words
 from bayes_damper.report.parts import Picture, Result, Section
 from bayes_damper.report.sections import READERS
 from bayes_damper.report.terms import terms
@@ -112,7 +112,9 @@ def report(folder: str | Path, *, out: str | Path | None = None) -> Report:
             warnings.append(f"{file.relative_to(home)} is not shown: {error}.")
             continue
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, OSError, RuntimeError) as error:
-            warnings.append(f"{file.relative_to(home)} is not shown: an entry is missing or malformed ({error!r}).")
+            warnings.append(
+                f"{file.relative_to(home)} is not shown: an entry is missing or malformed ({in_words(error)})."
+            )
             continue
         files.append(file)
     if not results:

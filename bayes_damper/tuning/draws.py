@@ -283,13 +283,13 @@ def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[s
         if file.is_file() and (draws := _draws_of_file(file, case)):
             return draws
     summary = read_json(folder / "summary.json")
-    try:
-        table = (summary["cases"] | ({"joint": summary["joint"]} if "joint" in summary else {}))[case]["parameters"]
-    except (KeyError, TypeError, AttributeError):
-        known = ", ".join(summary.get("cases", {})) if isinstance(summary, dict) else ""
-        raise InputError(f"{folder / 'summary.json'}: has no case {case!r}; it has {known or 'none'}") from None
     draws = {}
     with as_written(folder / "summary.json", "fit"):
+        cases = {**summary["cases"], "joint": summary.get("joint")}
+        if cases.get(case) is None:
+            known = ", ".join(summary["cases"]) or "none"
+            raise InputError(f"{folder / 'summary.json'}: has no case {case!r}; it has {known}")
+        table = cases[case]["parameters"]
         for name, stored in _entries(table, case).items():
             mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
             s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0

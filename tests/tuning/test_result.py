@@ -707,6 +707,17 @@ def test_a_case_is_tuned_with_its_own_draws_whatever_its_label(tmp_path):
         tuning.posterior_draws(tmp_path, "8 deg", 50, rng, {"k1t": 6.2})
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [([], "summary.json: damaged, or not what `bayes-damper fit` writes .an entry is of another kind"),
+     ({"cases": {"IV": {}}}, "'parameters' is missing"), ({"cases": {"IV": 3}}, "an entry is of another kind")],
+)  # fmt: skip
+def test_a_damaged_summary_is_named_without_words_of_python(tmp_path, content, said):
+    write_json(tmp_path / "summary.json", content)
+    with pytest.raises(InputError, match=said):
+        tuning.tune(tmp_path, case="IV", amplitudes=(), optimise=False, n_draws=10)
+
+
 def test_a_spring_that_was_inferred_is_tuned_as_inferred(tmp_path):
     """Fits of several springs call each after its declared stiffness."""
     fit = fitted_folder(tmp_path)
