@@ -24,9 +24,10 @@ from bayes_damper.effects import Effect, all_effects
 from bayes_damper.effects._law import Law
 from bayes_damper.effects.base import Variant
 from bayes_damper.errors import ExitCode, InputError
-from bayes_damper.inputs import number_in
+from bayes_damper.inputs import number_in, real
 from bayes_damper.priors.distributions import Normal
 from bayes_damper.priors.files import campaign_priors, load_priors
+from bayes_damper.priors.limits import CURVES
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.sources import is_published
 from bayes_damper.rig.equations import ROWS
@@ -39,6 +40,7 @@ from bayes_damper.text import Printable
 
 _ABOVE_ZERO = ("J1", "J2", "R", "r", "nu")
 _NOT_NEGATIVE = ("k1t", "c1t", "c2t", "c3t", "mu", "N0", "drag", "drag_ratio")
+_MOST_APART = 1e6  # times what a rig has, above which a number cannot be one of its kind
 _FEWEST = 4.0  # readings in a period, below which a motion is not seen
 _WORDS = {"normal_force": ("linear", "constant"), "restoring": ("linear", "pendulum")}
 
@@ -176,8 +178,8 @@ def simulate_record(
     faults: list[str] = []
     if not (np.isfinite(rate) and rate > 0.0):
         faults.append(f"--rate {rate}: expected a positive number of samples per second")
-    if not (np.isfinite(duration) and duration > 0.0) or duration * rate > 1e7:
-        faults.append(f"--duration {duration}: expected a positive number of seconds, at most ten million samples")
+    if not (np.isfinite(duration) and duration > 0.0) or not 0.5 < duration * rate <= 1e7:
+        faults.append(f"--duration {duration}: expected a positive number of seconds, with 2 to ten million samples")
     chosen = _chosen(effect, effects_folder, faults)
     variant = None if chosen is None else rig.scaled(*chosen)
     if chosen is not None and variant is None:
@@ -231,6 +233,8 @@ def simulate_record(
         ]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
     warnings = [*suspect, *([] if law is None else _beyond(law, run, times, coupled))]
+    if (delay := values.get("delay", 0.0)) >= times[-1]:
+        warnings.append(f"the release, at {delay:g} s, comes after the record's end at {times[-1]:g} s: nothing moves")
     period = 2.0 * np.pi * np.sqrt(values["J1"] / values["k1t"]) if values["k1t"] > 0.0 else np.inf
     if (read := period / float(np.median(np.diff(times)))) < _FEWEST:
         warnings.append(
@@ -318,7 +322,7 @@ def _apply(
     """
     values, words = rig.values, rig.words
     given = set()
-    suspect = []
+    suspect: list[str] = []
     for setting in settings:
         name, equals, text = (part.strip() for part in setting.partition("="))
         key = RIG_KEYS.get(name, name)
@@ -334,12 +338,13 @@ def _apply(
             words[key] = text
             continue
         try:
-            number = number_in(text)
+            number = real(number_in(text), f"--set {name}")
         except ValueError:
             faults.append(f"--set {setting}: {text!r} is no number")
             continue
-        if not np.isfinite(number):
-            faults.append(f"--set {setting}: expected a finite number")
+        except InputError as error:
+            faults.extend(error.faults)
+            continue
         prefix, dot, parameter = key.partition(".")
         if dot:
             if effect is None or prefix != effect.partition("/")[0]:
@@ -353,11 +358,12 @@ def _apply(
         elif key in ROWS:
             usual = abs(values.get(key, 0.0)) if key not in given and key not in ("nu", "tail") else 0.0
             if usual > 0.0 and not 1.0 / OTHER_UNIT <= abs(number) / usual <= OTHER_UNIT and number:
-                unit = unit_of(key, rig.kind)
+                unit, beyond = unit_of(key, rig.kind), abs(number) > _MOST_APART * usual
                 degrees = ": an angle in radians, not in degrees" if unit == "rad" else ""
-                suspect.append(
+                (faults if beyond else suspect).append(
                     f"--set {setting} is {abs(number) / usual:.3g} times what {rig.whose} has, {usual:.4g}"
-                    f"{' ' + unit if unit and unit != '1' else ''}; it is taken in SI units{degrees}"
+                    f"{' ' + unit if unit and unit != '1' else ''}; "
+                    + (f"no rig like it has so much{degrees}" if beyond else f"it is taken in SI units{degrees}")
                 )
             values[key] = number
             given.add(key)
@@ -368,6 +374,10 @@ def _apply(
     for name, other in rig.ties.items():
         if other in given and name not in given:
             values[name] = values[other]
+    if rig.coupled and "J12" in given and values["J12"] ** 2 >= values["J1"] * values["J2"]:
+        faults.append("--set J12: must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
+    if "tail" in given and not CURVES[0] <= values["tail"] <= CURVES[1]:
+        faults.append(f"--set tail: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}")
     return suspect
 
 
