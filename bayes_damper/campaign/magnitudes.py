@@ -60,6 +60,11 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
                 f"{where}: {key} = {constant.value:g} with std = {constant.std:g}: the uncertainty is as large as the "
                 "value, which cannot be negative; give the standard uncertainty in the same unit"
             )
+    if (beside := rig.inertial_coupling).std > abs(beside.value) > 0.0:
+        warnings.append(
+            f"{where}: inertial_coupling = {beside.value:g} with std = {beside.std:g}: the uncertainty is larger than "
+            "the value, so that its sign is open; is std in the same unit? (For an unknown one give value = 0.0.)"
+        )
     if rig.magnet_radius is not None and rig.bar_radius is not None and rig.magnet_radius.value >= rig.bar_radius.value:
         warnings.append(
             f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "

@@ -388,6 +388,14 @@ def test_a_magnet_that_was_taken_off_pulls_with_nothing(tmp_path):
     assert not load_campaign(magnet_rig(tmp_path, magnet_pull=0.0)).rig.has_magnet
 
 
+@pytest.mark.parametrize(("value", "std", "said"), [(0.0, 1e-4, False), (1e-4, 1e-5, False), (-1e-4, 2e-4, True)])
+def test_an_inertial_coupling_whose_sign_is_open_is_named(tmp_path, value, std, said):
+    warnings = load_campaign(magnet_rig(tmp_path, inertial_coupling=f"{{ value = {value}, std = {std} }}")).warnings
+    assert (
+        any(f"inertial_coupling = {value:g} with std = {std:g}" in w and "sign is open" in w for w in warnings) == said
+    )
+
+
 @pytest.mark.parametrize(("pull", "said"), [(100.0, False), (450.0, False), (470.0, True), (10_200.0, True)])
 def test_a_pull_that_no_magnet_of_that_face_has_is_named(tmp_path, pull, said):
     warnings = load_campaign(magnet_rig(tmp_path, magnet_pull=pull)).warnings
