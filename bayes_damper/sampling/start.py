@@ -5,6 +5,7 @@ Walkers that start all over the prior get stranded on ragged posteriors; a cloud
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +16,7 @@ from bayes_damper.errors import InputError
 from bayes_damper.sampling.moves import StudentT
 from bayes_damper.sampling.sequential import Path, Whole, systematic, temper
 
+LOG = logging.getLogger(__name__)
 Array = NDArray[np.float64]
 LogDensity = Callable[[Array], Array]
 
@@ -81,8 +83,8 @@ def resampled_start(
         points = np.concatenate([points, fresh])
         height = np.concatenate([height, counted(fresh)])
         start = replace(start, evaluations=counted.evaluations)
-        if np.count_nonzero(np.isfinite(height)) < enough:
-            return start
+        if (possible := np.count_nonzero(np.isfinite(height))) < enough:
+            return _without_sample(start, f"only {possible} of {len(points)} draws about it are possible")
         log_weight = height - np.logaddexp.reduce([shape.log_density(points) for shape in shapes], axis=0)
         weight, count = _normalised(log_weight)
         if count >= draws or turn == rounds - 1:
@@ -93,15 +95,21 @@ def resampled_start(
             power *= 0.7
             known, count = _normalised(power * log_weight)
         if count < enough:  # of the others none counts at all, as where the noise is declared far too small
-            return start
+            return _without_sample(start, f"{len(points)} draws about it show no shape, {count:.3g} of them count")
         centre = known @ points
         white = (points - centre) * np.sqrt(known)[:, None]
         shapes.append(StudentT(centre, white.T @ white, freedom))
     weight, count = _normalised(log_weight)
     if count < 0.1 * len(points):
-        return start
+        return _without_sample(start, f"of {len(points)} draws about it only {count:.3g} count")
     members = min(int(count), draws)
     return replace(start, population=points[systematic(weight, members, rng)])
+
+
+def _without_sample(start: Start, why: str) -> Start:
+    """The start without a sample, with the reason in the log."""
+    LOG.info("walkers start as a cloud about the best fit: %s", why)
+    return start
 
 
 def _normalised(log_weight: Array) -> tuple[Array, float]:

@@ -166,8 +166,9 @@ def test_a_resampled_population_has_few_copies_and_they_stand_together():
     assert len(shares) < 12
 
 
-def test_a_best_fit_unlike_the_posterior_is_no_sample_of_it():
-    """A thin shell: too few draws of any Student t count. And a density that is nought."""
+def test_a_best_fit_unlike_the_posterior_is_no_sample_of_it(caplog):
+    """A thin shell: too few draws of any Student t count. A needle; a density that is nought. The log says why."""
+    caplog.set_level("INFO", "bayes_damper.sampling.start")
 
     def shell(points):
         return -0.5 * ((np.linalg.norm(points[:, :5], axis=1) - 1.0) / 1e-4) ** 2
@@ -176,6 +177,18 @@ def test_a_best_fit_unlike_the_posterior_is_no_sample_of_it():
     assert len(start.population) == 0
     empty = resampled_start(lambda x: np.full(len(x), -np.inf), np.zeros(2), np.eye(2), np.random.default_rng(0))
     assert len(empty.population) == 0
+
+    def needle(points):
+        return -1e12 * np.sum(points**2, axis=1)
+
+    assert len(resampled_start(needle, np.zeros(9), np.eye(9), np.random.default_rng(0)).population) == 0
+    reasons = (
+        "of 8192 draws about it only",
+        "only 0 of 1024 draws about it are possible",
+        "1024 draws about it show no shape",
+    )
+    assert len(caplog.messages) == len(reasons)
+    assert all(why in said for why, said in zip(reasons, caplog.messages, strict=True)), caplog.messages
 
 
 def test_where_most_moves_are_independent_draws_every_step_is_stored():
