@@ -40,21 +40,25 @@ def beyond(where: str, values: Mapping[str, Sequence[Distribution | float]], cam
     limits = _limits(campaign)
     still = math.inf if any(t.driven for t in campaign.trials) else limits["drag"].most / _TORQUES
     for name, given in values.items():
-        for value in given:
-            for x, given_as, cause in _held(value):
-                if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
-                    yield f"{where}: tail: {given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
-                elif name == "drag" and isinstance(value, float) and x > still:
-                    yield (
-                        f"{where}: drag: fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing "
-                        "would move; check its unit, or give a prior"
-                    )
-                elif name in limits and abs(x) > limits[name].most:
-                    most, what = limits[name].most, limits[name].what
-                    yield f"{where}: {name}: {given_as} cannot be: above {most:.3g}, {what}; check its {cause}"
-                else:
-                    continue
-                break
+        for said in (_cannot_be(name, value, limits, still) for value in given):
+            if said:
+                yield f"{where}: {name}: {said}"
+
+
+def _cannot_be(name: str, value: Distribution | float, limits: Mapping[str, _Limit], still: float) -> str | None:
+    """Why a fixed value or a prior lies beyond what can be; still : the largest fixed drag with which a rig moves."""
+    for x, given_as, cause in _held(value):
+        if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
+            return f"{given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
+        if name == "drag" and isinstance(value, float) and x > still:
+            return (
+                f"fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing would move; check its "
+                "unit, or give a prior"
+            )
+        if name in limits and abs(x) > limits[name].most:
+            most, what = limits[name].most, limits[name].what
+            return f"{given_as} cannot be: above {most:.3g}, {what}; check its {cause}"
+    return None
 
 
 def _held(value: Distribution | float) -> Iterator[tuple[float, str, str]]:
