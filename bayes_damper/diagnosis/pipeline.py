@@ -245,7 +245,7 @@ def _sites(
 
     known : the sites that the rig has; miswired : channels under a wrong name explain the gap better than any torque,
     so it lies at the sensors; imitator : site of the leading effect: what this closes of the gap with a shape that such
-    effects do not have is done there, by something else.
+    effects do not have is done there, by something else, unless what it leaves lies at another site.
     """
     sites = dict.fromkeys((*known, "none"), 0.0)
     for name, p in answers.probabilities.items():
@@ -263,6 +263,9 @@ def _sites(
         weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
     imitated = 0.0 if imitator is None else (1.0 - answers.left.share) * -math.expm1(-answers.left.odd)
+    if imitator is not None:
+        rest = {site: after.probabilities.get(site, 0.0) for site in (*known, imitator)}
+        imitated *= 1.0 - (max(rest.values()) - rest[imitator])
     for site in known:
         share = imitated * (site == imitator) + (1.0 - imitated) * weights[site] / total
         sites[site] += answers.probabilities["unknown"] * share

@@ -1108,6 +1108,9 @@ def test_a_rig_of_one_body_has_no_place_between_two():
     placed = _sites(odd, EFFECTS, place, place, sites_of(alone), imitator="sensor")
     assert placed["sensor"] == pytest.approx(0.9 * 0.7 + 0.1 * 0.175)
     assert sum(placed.values()) == pytest.approx(1.0)
+    # What it leaves lies at the spring: so does the cause.
+    rest = SimpleNamespace(probabilities={**dict.fromkeys(SITES, 0.02), "ground1": 0.9})
+    assert _sites(odd, EFFECTS, place, rest, sites_of(alone), imitator="sensor")["sensor"] < 0.3
 
 
 def low_pass(natural, damping):
