@@ -94,7 +94,7 @@ INIT: dict[str, tuple[tuple[type, ...], str]] = {
         "how file names are built, e.g. 'case{case}_{configuration}_{trial}'; also {theta0} and {k1t}",
     ),
     "words": ((list,), "words for the configurations in file names, e.g. free=uncoupled magnet=coupled"),
-    "sheet": ((str,), "CSV table of the trials: a column file or case, and any other option as a column"),
+    "sheet": ((str,), "CSV table of the trials: a column file or case, and other options as columns"),
     "files_per_trial": ((int,), "2 if each channel has its own file, the primary's first"),
 }
 """Options of `init` alone: how trials differ from each other."""
@@ -123,6 +123,8 @@ _ITEMS: dict[str, tuple[type, ...]] = {
     "matlab_data": (str,), "clock": (int, float), "wrap": (int, float), "scale": (int, float),
 }  # fmt: skip
 """What the lists of an import table may hold."""
+_WORD_OR_NUMBER = ("release", "offset")
+"""Keys of a sheet whose cells hold a word or a number."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
 """Smallest values of some keys."""
 LEAST_KNOWN = 0.5
@@ -243,7 +245,8 @@ def spec_from_options(
             "and the files in order, the primary before the secondary"
         )
     words = _words_of(given.pop("words", []))
-    groups = [list(sources[i : i + several]) for i in range(0, len(sources), several)]
+    files_and_rows = _files_and_rows(sources, rows, several)
+    groups = [files for files, _ in files_and_rows]
     caveats = []
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given, so all results are per unit inertia (primary_inertia = 1).")
@@ -252,7 +255,8 @@ def spec_from_options(
         "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
     )
     own: dict[Path, dict[str, Any]] = {}
-    if "columns" not in given and several == 1 and sources[0].is_file():
+    own_columns = all(any("columns" in row for row in about) for _, about in files_and_rows)
+    if "columns" not in given and several == 1 and sources[0].is_file() and not own_columns:
         own = _guessed_all([s for s in sources if s.is_file()], given, caveats, declared)
         given |= own.pop(Path(), {})
     elif not declared and several == 1 and isinstance(named := given.get("columns"), list) and len(named) == 2:
@@ -263,7 +267,9 @@ def spec_from_options(
     coupled = isinstance(columns, list) and len(columns) > 1
     common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
-    trials = [_trial_row(group, common | own.get(group[0], {}), pattern, rows, words) for group in groups]
+    trials = [
+        _trial_row(group, common | own.get(group[0], {}), pattern, about, words) for group, about in files_and_rows
+    ]
     if "case" not in given and "{case}" not in str(pattern) and not any("case" in row for row in rows):
         _name_cases(trials, str(pattern), given.get("kind") == "translational")
     rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
@@ -295,6 +301,24 @@ def _measurement_of(given: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
+def _files_and_rows(
+    sources: Sequence[Path], rows: Sequence[Mapping[str, Any]], several: int
+) -> list[tuple[list[Path], list[Mapping[str, Any]]]]:
+    """Of each trial its files, and the rows of the sheet that may be about it.
+
+    Where several rows name one file, it holds a trial for each of them, side by side or one after the other.
+    """
+    if several > 1:
+        return [(list(sources[i : i + several]), list(rows)) for i in range(0, len(sources), several)]
+    out: list[tuple[list[Path], list[Mapping[str, Any]]]] = []
+    for path in dict.fromkeys(sources) if any("file" in row for row in rows) else sources:
+        named = [row for row in rows if "file" in row and Path(str(row["file"])).name == path.name]
+        exact = [row for row in named if path.parts[-len(parts := Path(str(row["file"])).parts) :] == parts]
+        for own in exact or named or [{}]:
+            out.append(([path], [row for row in rows if "file" not in row or row is own]))
+    return out
+
+
 def _trial_row(
     files: Sequence[Path], common: Mapping[str, Any], pattern: object, rows: Sequence[Mapping[str, Any]],
     words: Mapping[str, str],
@@ -311,6 +335,8 @@ def _trial_row(
     for entry in rows:
         if _describes(entry, files[0], row):
             row |= {key: value for key, value in entry.items() if key != "file"}
+            if "columns" in entry and "configuration" not in entry and pattern is None:
+                row["configuration"] = "coupled" if len(entry["columns"]) > 1 else common["configuration"]
     row["case"] = str(row["case"])
     return row
 
@@ -431,7 +457,7 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
         faults.extend(error.faults)
         return []
     head, *body = [row for row in table if any(row)] or [[]]
-    single = {k: v for k, v in {**TRIAL, **READER}.items() if (list,) != v[0]}
+    single = {k: v for k, v in {**TRIAL, **READER}.items() if (list,) != v[0] or k == "columns"}
     wrong = [key for key in head if key not in ("file", *single)]
     if wrong or not body or not ({"file", "case", "configuration"} & set(head)):
         known = f"columns: file, {', '.join(single)}"
@@ -448,7 +474,11 @@ def _sheet_rows(sheet: object, faults: list[str]) -> list[dict[str, Any]]:
             try:
                 if bool in types:
                     row[key] = {"true": True, "false": False}[cell.lower()]
-                elif str not in types or key == "k1t":
+                elif key == "columns":  # numbers, or the name of one, which may have blanks
+                    row[key] = [int(x) for x in cell.split()] if re.fullmatch(r"[\d ]+", cell) else [cell]
+                elif key in _WORD_OR_NUMBER and re.match(r"[-+.,]?\d", cell) is None:
+                    pass
+                elif str not in types or key in ("k1t", *_WORD_OR_NUMBER):
                     number = number_of(cell, mark != ",")
                     row[key] = int(number) if float not in types else number
             except (ValueError, KeyError, OverflowError):

@@ -122,7 +122,12 @@ def _write(
         (draft / "campaign.toml").write_text(note + text, encoding="utf-8")
         if priors is not None:
             (draft / "priors.toml").write_bytes(priors)
-        campaigns.load_campaign(draft)
+        try:
+            campaigns.load_campaign(draft)
+        except InputError as error:  # what is wrong with the readings may be what they were taken for
+            large = any("the readings imply" in fault for fault in error.faults)
+            taken = [caveat for caveat in built.caveats if large and _UNNAMED in caveat]
+            raise InputError([*error.faults, *taken]) from None
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(draft, folder, dirs_exist_ok=True)
     return folder
@@ -258,6 +263,7 @@ def convert(
 # --- the table -----------------------------------------------------------------------------------------------------
 
 
+_UNNAMED = "no unit is named"
 _FROM_OPTIONS = "import"  # where a table is called that no file holds
 
 
@@ -434,7 +440,7 @@ def _trial_from(
         slow = "positions" if rig.kind == "translational" else "angles"
         give = f"for {slow} or speeds give --quantity, and" if measurement.quantity == "acceleration" else "give"
         unnamed.append(
-            f"{where}: no unit is named, so the readings were taken as {_PLURAL[measurement.quantity]} in "
+            f"{where}: {_UNNAMED}, so the readings were taken as {_PLURAL[measurement.quantity]} in "
             f"{unit_of_parameter('sigma1', rig.kind, measurement.quantity)}; {give} --units where they are not in SI."
         )
     named = _named_units(source, places, rig.kind, measurement.quantity)
@@ -455,7 +461,7 @@ def _trial_from(
     back = np.flatnonzero(np.diff(times) <= 0.0)
     if len(back):
         raise InputError(
-            f"{where}: the time does not increase after {times[back[0]]:.9g} s; sort the rows, or give sample_rate"
+            f"{where}: the time does not increase after {times[back[0]]:.9g} s; {_restarted(times, int(back[-1]) + 1)}"
         )
     keep, zero = _window(times, channels[0], option, measurement, where)
     option = _with_rest(option, channels[:, times < zero - 1e-9], measurement, where)
@@ -474,6 +480,16 @@ def _trial_from(
         channels,
         holdout=option.get("holdout", False),
         **acting,
+    )
+
+
+def _restarted(times: Array, last: int) -> str:
+    """What to do about a time that does not increase; last : index of the reading from which on it does."""
+    if len(times) - last < max(_FEWEST, len(times) // 2):
+        return "sort the rows, or give sample_rate"
+    return (
+        f"it does from reading {last + 1} of {len(times)} on: if the logger began anew there, skip_lines leaves out "
+        "what is before; else sort the rows, or give sample_rate"
     )
 
 

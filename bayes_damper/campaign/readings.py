@@ -5,6 +5,7 @@ Pure functions of arrays; the campaign makes sentences of what they find. Nothin
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -337,6 +338,8 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float, stronge
 
 def dominant_frequency(times: Array, readings: Array) -> float:
     """Frequency of the strongest line, in Hz: peak of the windowed spectrum, refined by a parabola; 0 if none."""
+    if len(times) >= 8:
+        times, readings = _without_long_gaps(times, readings)
     count = len(times)
     if count < 8:
         return 0.0
@@ -352,6 +355,20 @@ def dominant_frequency(times: Array, readings: Array) -> float:
     bend = a - 2.0 * b + c
     shift = 0.5 * (a - c) / bend if bend != 0.0 else 0.0
     return float((i + shift) / (size * (even[1] - even[0])))
+
+
+def _without_long_gaps(times: Array, readings: Array) -> tuple[Array, Array]:
+    """The longest stretch between gaps, where these make up a quarter of the record; else the whole record.
+
+    A straight line through a long gap is no oscillation: it would be the strongest line of the spectrum.
+    """
+    steps = np.diff(times)
+    gaps = np.flatnonzero(steps > 8.0 * float(np.median(steps)))
+    if float(np.sum(steps[gaps])) < 0.25 * float(times[-1] - times[0]):
+        return times, readings
+    edges = [0, *(int(i) + 1 for i in gaps), len(times)]
+    first, last = max(itertools.pairwise(edges), key=lambda ends: ends[1] - ends[0])
+    return (times[first:last], readings[first:last]) if last - first >= 8 else (times, readings)
 
 
 def find_release(times: Array, readings: Array) -> float:

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import tomllib
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -733,6 +734,59 @@ def test_names_and_a_sheet_tell_the_trials_apart(tmp_path: Path) -> None:
         init_campaign(tmp_path / "wrong", sources, **options)
     sheet.write_text("file,case,trial,k1t,theta0\ncaseI_uncoupled_1.csv,I,1,6.2,5.7\n", encoding="utf-8")
     assert len(load_campaign(init_campaign(tmp_path / "sheet", [], **options)).trials) == 1
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_rows_of_a_sheet_take_trials_side_by_side_from_one_file(tmp_path: Path, named: bool) -> None:
+    """As a teaching logger exports its runs: one table, a column for each."""
+    runs = [wave() * size for size in (1.0, 0.8, 0.6)]
+    lines = [",".join(f"{x:.6f}" for x in row) for row in zip(TIMES, *runs, strict=True)]
+    source = tmp_path / "runs.csv"
+    source.write_text('Time (s),"Angle, Run 1","Angle, Run 2","Angle, Run 3"\n' + "\n".join(lines), encoding="utf-8")
+    sheet = tmp_path / "sheet.csv"
+    sheet.write_text("file;columns;offset\nruns.csv;2;0,1\nruns.csv;Angle, Run 2;none\nruns.csv;4;\n", encoding="utf-8")
+    options = {"time": "Time (s)", "sheet": str(sheet), "k1t": 10.2, "primary_inertia": 0.003}
+    folder = init_campaign(tmp_path / "out", [source] if named else [], **options)
+    trials = load_campaign(folder).trials
+    assert [t.trial for t in trials] == [1, 2, 3]
+    for trial, run, offset in zip(trials, runs, (0.1, 0.0, 0.0), strict=True):
+        assert trial.configuration == "uncoupled"
+        np.testing.assert_allclose(trial.channels[0], run - offset, atol=1e-6)
+
+
+def test_a_fault_of_readings_without_a_unit_comes_with_what_they_were_taken_for(tmp_path: Path) -> None:
+    """Positions of a slow pendulum, taken as accelerations, are a swing of many turns."""
+    times = np.arange(400) / 20.0
+    source = logger_file(tmp_path / "x.txt", 30.0 * np.cos(0.6 * times), times=times)
+    said = fault_of(tmp_path, source, release="start", k1t=0.36, theta0=None, theta0_std=None, primary_inertia=1.0)
+    assert "the readings imply a swing of" in said
+    assert "taken as accelerations in rad/s^2; for angles or speeds give --quantity" in said
+
+
+def test_a_clock_that_begins_anew_is_said_to_do_so(tmp_path: Path) -> None:
+    """A logger whose file begins with the end of the last run, and with lines of zeros until its clock is set."""
+    source = logger_file(tmp_path / "run.csv", wave())
+    head, *lines = source.read_text().splitlines()
+    source.write_text("\n".join([head, "9.1,0.2", "9.2,0.1", *["0,0"] * 20, *lines]) + "\n", encoding="utf-8")
+    assert "after 9.2 s; it does from reading 22 of 1422 on: if the logger began anew there, skip_lines" in fault_of(
+        tmp_path, source
+    )
+    source.write_text("\n".join([*lines[:1300], *lines[1200:]]) + "\n", encoding="utf-8")
+    assert fault_of(tmp_path, source, time=1, columns=[2]).endswith("; sort the rows, or give sample_rate")
+
+
+def test_a_sheet_gives_each_file_its_release(tmp_path: Path) -> None:
+    for name in ("one.csv", "two.csv"):
+        logger_file(tmp_path / name, wave())
+    sheet = tmp_path / "sheet.csv"
+    options = OPTIONS | {"sheet": str(sheet)}
+    del options["theta0"]
+    sheet.write_text("file;release\none.csv;5,25\ntwo.csv;first_peak\n", encoding="utf-8")
+    spec = tomllib.loads((init_campaign(tmp_path / "out", [], **options) / "import.toml").read_text())
+    assert [trial["release"] for trial in spec["trials"]] == [5.25, "first_peak"]
+    sheet.write_text("file;release\none.csv;1x\n", encoding="utf-8")
+    with pytest.raises(InputError, match="line 2, column 'release': '1x' is not a number"):
+        init_campaign(tmp_path / "wrong", [], **options)
 
 
 def test_raw_says_where_the_files_lie_that_a_sheet_names(tmp_path: Path) -> None:

@@ -322,6 +322,13 @@ def test_a_decay_that_is_over_soon_swings_at_its_own_frequency():
     assert look.dominant_frequency(times, rate) == pytest.approx(4.7, rel=0.02)
 
 
+def test_stretches_far_apart_swing_at_their_own_frequency():
+    """Three stretches of one long decay: the straight lines through the gaps are no oscillation."""
+    times = np.concatenate([start + np.arange(200) / 30.0 for start in (0.0, 68.0, 134.0)])
+    y = 0.05 + 0.3 * np.exp(-times / 200.0) * np.cos(2.0 * np.pi * 0.7 * times)
+    assert look.dominant_frequency(times, y) == pytest.approx(0.7, rel=0.02)
+
+
 @pytest.mark.filterwarnings("error")
 def test_readings_as_large_as_numbers_get_are_looked_at_without_a_warning():
     times = np.arange(400) / 100.0 + 1e-3 * (np.arange(400) % 3)
