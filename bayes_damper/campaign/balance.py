@@ -88,10 +88,13 @@ def look_at_balance(
                 wrong[case], sure = found.inertia, True
             continue
         if _is_reversed(_balance(head, filtered, 0.0, own_swing, sign=-1.0), declared.value):
-            if not any(wiring_of(head, trial) == "reversed" for trial in still):  # else each of them is named
+            wirings = [wiring_of(head, trial) for trial in still]
+            if "reversed" not in wirings:  # else each of them is named
+                first = 2 * wirings.count("first reversed") > len(wirings)
+                channel, signs = ("first", "-1 1") if first else ("second", "1 -1")
                 warnings.append(
-                    f"case {case}: the torques on both bodies add up to zero only if the sign of the second channel is "
-                    f"reversed; where `init` made the campaign, run it again with --sign 1 -1{otherwise}"
+                    f"case {case}: the torques on both bodies add up to zero only if the sign of the {channel} channel "
+                    f"is reversed; where `init` made the campaign, run it again with --sign {signs}{otherwise}"
                 )
             continue
         other_unit = found.inertia > _UNIT * declared.value or _taken(head, filtered, own_swing) > _TAKES

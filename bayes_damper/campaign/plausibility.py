@@ -239,6 +239,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
     times, quantity = trial.times, head.measurement.quantity
     y = look.without_outliers(times, trial.channels[0], omega, quantity == "displacement")
     power = DERIVATIVE[quantity]
+    if power:  # what a sensor reads at rest is no motion
+        y = y - look.offset_of(times, y, look.noise_floor_of(y, times), omega)
     assert trial.theta0 is not None
     sign = math.copysign(1.0, trial.theta0.value) * (1.0 if power == 0 else -1.0)
     level = abs(trial.theta0.value) if power == 0 else 0.0

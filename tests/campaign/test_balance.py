@@ -31,7 +31,7 @@ def motion(quantity):
     return np.array(found).T
 
 
-def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity="acceleration"):
+def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity="acceleration", theta0=4.7):
     """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`.
 
     spring : declared k1t; alone : uncoupled trials beside them, of accelerations
@@ -52,7 +52,7 @@ def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity
         first, second = motion(quantity) + rng.normal(0.0, noise, (2, TIMES.size))
         columns = [TIMES, first, change(np.array([first, second]))]
         write_table(folder / f"trials/{k}.csv", ["time_s", *names], columns)
-        rows.append(f"trials/{k}.csv,IV,coupled,{spring},4.7,{k + 1}")
+        rows.append(f"trials/{k}.csv,IV,coupled,{spring},{theta0},{k + 1}")
     for k in range(alone):
         own = decay(TIMES, math.radians(4.7), K1, 0.03) + rng.normal(0.0, 0.5, TIMES.size)
         write_table(folder / f"trials/alone_{k}.csv", ["time_s", "alpha1_rad_s2"], [TIMES, own])
@@ -136,6 +136,14 @@ def test_a_second_channel_that_is_turned_round_shows_by_the_sum_of_torques(tmp_p
     assert (said in text) == (factor == 1.0)
     assert "its sign looks reversed" not in text
     assert "sign" not in remarks(tmp_path / "sound", second, factor * J2, quantity="velocity")
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "velocity"])
+def test_where_the_first_channel_is_reversed_no_message_says_that_it_is_the_second(tmp_path, quantity):
+    text = remarks(tmp_path / "c", lambda y: -y[1], quantity=quantity, theta0=-4.7)
+    assert "add up to zero only if the sign of the first channel is reversed" in text
+    assert "--sign -1 1" in text
+    assert "second" not in text
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.5])

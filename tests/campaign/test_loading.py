@@ -532,6 +532,16 @@ def test_a_reversed_channel_is_told_where_the_record_rests_before_the_release(
     assert not any("the first readings are not those of a release" in w for w in load_campaign(folder).warnings)
 
 
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
+def test_an_offset_is_no_motion_before_the_release(folder: Path, quantity: str) -> None:
+    _hold(folder, quantity, 1.0, 0.0)
+    for path in sorted(folder.glob("trials/*.csv")):
+        alter(path, lambda c: [c[0], *(x + 0.05 * np.max(np.abs(x)) for x in c[1:])])
+    told = load_campaign(folder).warnings
+    assert any("the sensor has an offset" in w for w in told)
+    assert not any("the trigger came" in w or "first readings" in w for w in told), told
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_reversed_velocity_is_told_where_the_record_begins_at_the_release(folder: Path, sign: float) -> None:
     _hold(folder, "velocity", sign, 0.0)
