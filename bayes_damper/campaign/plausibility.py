@@ -213,7 +213,14 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
     uneven = look.unevenness_of(times)
     if uneven > _UNEVEN:
         most = f"{float(f'{100.0 * uneven:.2g}'):g} %"
-        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {most}")
+        rounded = look.rounded_clock(times)
+        why = (
+            f", as those of stamps rounded to {rounded[0]:g} s; the readings come at {rounded[1]:.5g} Hz: import them "
+            f"with `init --sample-rate {rounded[1]:.5g}` and no --time"
+            if rounded
+            else ""
+        )
+        warnings.append(f"{trial.file}: time is uneven: steps depart from {step:.4g} s by up to {most}{why}")
     gaps = look.gaps_of(times) if counts else []
     if gaps:
         longest = max(gaps, key=lambda g: g[1] - g[0])

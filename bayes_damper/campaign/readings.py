@@ -176,6 +176,19 @@ def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
     return out
 
 
+def rounded_clock(times: Array) -> tuple[float, float] | None:
+    """To what the stamps of an even clock were rounded, s, and its rate, Hz; None if these are not such stamps.
+
+    times : (n,) s, without gaps
+    """
+    step, first = np.polyfit(np.arange(len(times)), times, 1)
+    off = float(np.max(np.abs(times - first - step * np.arange(len(times)))))
+    for unit in (0.1, 0.01, 1e-3, 1e-4, 1e-5):
+        if np.max(np.abs(times / unit - np.round(times / unit))) < 1e-3:
+            return (unit, 1.0 / float(step)) if off < 0.55 * unit < 0.55 * step else None
+    return None
+
+
 def unevenness_of(times: Array) -> float:
     """Largest departure of a time step from the median step, as a share of it; gaps are left out.
 
