@@ -99,7 +99,8 @@ def posterior_draws(
 ) -> dict[str, Array]:
     """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
 
-    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd. The
+    A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd, or normal
+    where it can have either sign. The
     numbers of a fit's effect are among the draws, as `effect.NAME`.
     """
     stored = source if isinstance(source, Mapping) else _stored(Path(source), case, n, rng)
@@ -294,7 +295,7 @@ def _stored(folder: Path, case: str, n: int, rng: np.random.Generator) -> dict[s
             mean, sd = float(table[stored]["mean"]), float(table[stored]["sd"])
             s2 = math.log1p((sd / mean) ** 2) if mean > 0.0 else 0.0
             z = rng.standard_normal(n)
-            signed = name.startswith(OF_EFFECT) and mean - 4.0 * sd < 0.0
+            signed = (name == "tail" or name.startswith(OF_EFFECT)) and mean - 4.0 * sd < 0.0
             draws[name] = mean + sd * z if signed else mean * np.exp(math.sqrt(s2) * z - 0.5 * s2)
     return draws
 

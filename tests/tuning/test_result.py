@@ -360,10 +360,13 @@ def test_shares_of_variance_find_what_the_answer_is_made_of():
 
 def test_a_summary_is_drawn_from_by_its_moments(tmp_path):
     table = {name: {"mean": mean, "sd": 0.1 * mean} for name, mean in THESIS.items()}
+    table["tail"] = {"mean": -0.1, "sd": 0.2}  # has either sign
     write_json(tmp_path / "summary.json", {"schema": "bayes-damper/fit/1", "cases": {"IV": {"parameters": table}}})
     draws = tuning.posterior_draws(tmp_path, "IV", 4000, np.random.default_rng(0))
     assert draws["k2t"].mean() == pytest.approx(1.0, rel=0.01)
     assert draws["c2t"].std() == pytest.approx(0.008, rel=0.05)
+    assert draws["tail"].mean() == pytest.approx(-0.1, abs=0.02)
+    assert draws["tail"].std() == pytest.approx(0.2, rel=0.05)
     with pytest.raises(InputError, match="no case 'I'"):
         tuning.posterior_draws(tmp_path, "I", 10, np.random.default_rng(0))
 
