@@ -89,7 +89,7 @@ def look_at_balance(
             continue
         if _is_reversed(_balance(head, filtered, 0.0, own_swing, sign=-1.0), declared.value):
             wirings = [wiring_of(head, trial) for trial in still]
-            if "reversed" not in wirings:  # else each of them is named
+            if not {"reversed", "mirrored"} & set(wirings):  # else each of them is named
                 first = 2 * wirings.count("first reversed") > len(wirings)
                 channel, signs = ("first", "-1 1") if first else ("second", "1 -1")
                 warnings.append(

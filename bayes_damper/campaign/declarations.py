@@ -53,11 +53,12 @@ def look_at_declarations(head: Head, trials: Sequence[Trial], warnings: list[str
     _look_at_releases({case: cases[case][0] for case in swings}, swings, warnings)
 
 
-def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed", "first reversed"] | None:
+def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed", "first reversed", "mirrored"] | None:
     """What the first moments after the release say of the channels: exchanged, one of them reversed, or nothing.
 
     Exchanged: the secondary moves as the primary must, and the primary less. Reversed: the secondary moves away, where
-    the primary that drags it along moves back; the first one reversed: the other way round.
+    the primary that drags it along moves back; the first one reversed: the other way round. Mirrored: the
+    secondary is held as far on the other side of 0 as the primary.
     """
     found = _drives(head, trial)
     if found is None:
@@ -72,9 +73,11 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed", "fir
             return "reversed" if first > 0.3 and second > max(0.02, 6.0 * noise) else None
     if head.rig.ground2_stiffness.value == 0.0 and second > _FREE and first < _LESS * second:
         return "exchanged"
-    if first < -0.3 and second > max(0.02, 6.0 * noise):
+    if first < -0.3:
         return "first reversed"
-    return "reversed" if first > 0.3 and second < -max(0.02, 6.0 * noise) else None
+    if first > 0.3 and second < -max(0.02, 6.0 * noise):
+        return "reversed"
+    return "mirrored" if held is not None and abs(held[0] + held[1]) < _APART * abs(held[0]) else None
 
 
 def up_to_release(trial: Trial) -> NDArray[np.bool_]:

@@ -62,11 +62,12 @@ def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) 
     wiring = wiring_of(head, trial)
     if wiring == "exchanged":
         return  # reported with its repeats
-    if wiring == "reversed":
-        warnings.append(
-            f"{trial.file}: at the release the second channel goes the other way than the primary, which drags the "
-            f"secondary along; its sign looks reversed{_TURNED}"
-        )
+    turned = {
+        "reversed": "goes the other way than the primary, which drags the secondary along",
+        "mirrored": "stands as far on the other side of 0 as the primary, but the model releases both from one side",
+    }
+    if other := turned.get(wiring or ""):
+        warnings.append(f"{trial.file}: at the release the second channel {other}; its sign looks reversed{_TURNED}")
     released = head.measurement.start == "rest" and trial.theta0 is not None
     if released and not any(filled_in) and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
         _look_at_release(head, trial, swings * omega, warnings)

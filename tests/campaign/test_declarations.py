@@ -118,6 +118,18 @@ def test_channels_are_judged_wherever_the_second_body_was_released(tmp_path, x2,
     assert said not in carts(tmp_path / "right", x2)
 
 
+@pytest.mark.parametrize("begin", [0, HELD])
+def test_a_reversed_channel_is_named_where_noise_hides_how_the_second_body_begins(tmp_path, begin):
+    """By where it stands at the release; of a reversed first channel nothing says that it is the second."""
+    noise = np.random.default_rng(2).normal(0.0, 5e-4, (2, TIMES.size))
+    found = carts(tmp_path / "second", change=lambda y: turned(1.0, -1.0)(y + noise), begin=begin)
+    assert found.count("at the release the second channel stands as far on the other side of 0 as body 1") == 3
+    assert "stands at" not in found
+    found = carts(tmp_path / "first", change=lambda y: turned(-1.0, 1.0)(y + noise), begin=begin)
+    assert "the sign of the channel looks reversed" in found
+    assert "sign of the second" not in found
+
+
 def test_an_entry_that_a_free_start_leaves_empty_is_told_once_for_all_lines(tmp_path, capsys):
     carts(tmp_path / "rig")
     head = tmp_path / "rig" / "campaign.toml"
