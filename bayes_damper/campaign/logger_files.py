@@ -136,6 +136,12 @@ class LoggerFile:
         found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", name) or re.search(_AFTER, name)
         if found:
             return unit_of(found[1])
+        # Physics writes the quantity over its unit, Angle/rad or v/m/s; which Speed m/s, m/s and rev/s do not.
+        before, _, over = name.partition("/")
+        words = before.split()
+        alone = len(words) == 1 and len(words[0]) == 1  # a symbol, as in s/m
+        if words and over and unit_of(name) is None and (alone or unit_of(words[-1]) is None):
+            return unit_of(over)
         behind = re.search(rf"(?<=[^_\W])_({_BEHIND})$", name)
         return unit_of(behind[1].replace("n_m", "N m").replace("_", "/")) if behind else None
 

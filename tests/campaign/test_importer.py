@@ -805,7 +805,9 @@ def test_raw_says_where_the_files_lie_that_a_sheet_names(tmp_path: Path) -> None
     ("x_mm", "mm"), ("alpha1_rad_s2", "rad/s^2"), ("v_m_s", "m/s"), ("torque1_n_m", "N m"), ("t_ms", "ms"),
     ("x1_m", "m"), ("position", None), ("x_px", None), ("gram", None), ("_mm", None), ("Weg [mm]", "mm"),
     ("s1 / mm", "mm"), ("a / m/s²", "m/s^2"), ("a / (m/s^2)", "m/s^2"), ("Position, mm", "mm"), ("Zeit in ms", "ms"),
-    ("sensor in use", None), ("rev/s", None), ("in mm", None), ("left, right", None),
+    ("Angle/rad", "rad"), ("v/m/s", "m/s"), ("s/m", "m"), ("AngVel/rad/s", "rad/s"), ("m/s", None),
+    ("Speed m/s", None), ("left/right", None), ("/s", None), ("sensor in use", None), ("rev/s", None),
+    ("in mm", None), ("left, right", None),
 ])  # fmt: skip
 def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
     assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
