@@ -211,6 +211,9 @@ def budget_sentence(budget: BudgetEntry | None, held_out: bool = True) -> str:
     if left > 0 and sites:
         place = max(sites, key=lambda site: sites[site])
         where = f", most likely at {_AT.get(place, place)}"
+    if not closing:
+        verb = "closes" if len(harmful) == 1 else "close"
+        return f"{left} % of the gap stays unexplained{where}; {' and '.join(named)} {verb} nothing of it."
     rest = f"{left} % stays unexplained{where}" if left > 0 else "nothing stays unexplained"
     (name, share), *others = closing + harmful
     name = name[0].upper() + name[1:]

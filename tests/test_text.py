@@ -135,6 +135,9 @@ def test_an_unknown_cause_is_told_at_a_place_and_as_surely_as_it_is_known(tmp_pa
     said = Diagnosed(tmp_path, result).text()
     assert "2 with the nominal model, 1.2 with quadratic_drag (no explanation of the gap) added; noise 1." in said
     assert "with the answer" not in said
+    result["gap"]["closed"] = {"median": 0.867}
+    said = Diagnosed(tmp_path, result).text()
+    assert "quadratic_drag (not the answer, though it closes 87 % of the gap there) added" in said
 
 
 PROPOSED = {"configuration": "uncoupled", "k1_n_per_m": 500.0, "theta0_mm": 40.0}
@@ -224,8 +227,8 @@ def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():
     """An effect with which held-out trials are missed 326 times as far was said to close -10605972 % of the gap."""
     worse = divided({"spring_bottoming": -106059.72}, 106060.72, 0.78)
     assert budget_sentence(worse) == (
-        "Spring bottoming (probability 0.78) closes nothing of the gap; 100 % stays unexplained, most likely at the "
-        "bearings."
+        "100 % of the gap stays unexplained, most likely at the bearings; spring bottoming (probability 0.78) closes "
+        "nothing of it."
     )
     both = budget_sentence(divided({"spring_cubic": -0.3, "bearing_drag": 0.9}, 0.4))
     assert both.startswith(

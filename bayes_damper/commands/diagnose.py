@@ -64,6 +64,7 @@ from bayes_damper.text import (
     named_sentence,
     p_value,
     places_of_rest,
+    share_of_gap,
     trial_words,
     warning_lines,
 )
@@ -448,7 +449,10 @@ def _named_addition(result: DiagnosisFile) -> str:
     if verdict != "unknown":
         return "" if verdict == "none" else "the answer"
     best = next((r["name"] for r in result.get("effects", ()) if r.get("augmented_rms") == rms), None)
-    return f"{best or 'the best two candidates'} (no explanation of the gap)"
+    closed = result["gap"].get("closed")
+    share = (closed["median"] if closed else None) or 0.0
+    but = f"not the answer, though it closes {share_of_gap(share)} % of the gap there"
+    return f"{best or 'the best two candidates'} ({but if share >= 0.5 else 'no explanation of the gap'})"
 
 
 def _gap_words(gap: GapEntry, unit: str, added: str) -> str:

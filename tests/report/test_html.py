@@ -615,6 +615,11 @@ def test_a_verdict_says_what_the_effect_is_and_how_large(tmp_path):
     assert "angle -0.1 to 0.12 rad; time 0 to 1 s" in told
     assert re.search(r"Most probable places: interface, .* \(46 %\) and ground2, .* \(40 %\)\.", text)
     assert "4530" not in text
+    assert "Products of residuals. Present:" in told
+    data["gap"] |= {"answer": "cannot tell", "p_value": 1.0, "upper_rms_over_noise": None}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(data), encoding="utf-8")
+    told = words_of(report(tmp_path).path.read_text(encoding="utf-8"))
+    assert "No trial is held out, so no share of the gap is known. Present:" in told
 
 
 def test_the_parameters_of_an_effect_of_the_library_are_explained(tmp_path):

@@ -201,7 +201,7 @@ def _section(
         "Diagnosis",
         tuple(map(said, data.get("notes", ()))),
         (
-            *_budget_tables(data.get("budget")),
+            *_budget_tables(data.get("budget"), "gap" not in data or held_out_of(data["gap"])),
             *_law_tables(data.get("law"), said, translational),
             _site_table(sites, said),
             *_gap_tables(data.get("gap"), effects, data.get("pair"), str(data.get("reading_unit") or "")),
@@ -611,8 +611,8 @@ def _prior_tables(rows: Sequence[UnderPrior]) -> tuple[Table, ...]:
     return (Table(caption, columns, cells),) if cells else ()
 
 
-def _budget_tables(budget: BudgetEntry | None) -> list[Table]:
-    """Each effect of the best set with its share of the gap, and what stays unexplained."""
+def _budget_tables(budget: BudgetEntry | None, held_out: bool) -> list[Table]:
+    """Each effect of the best set with its share of the gap, and what stays unexplained; held_out : by any trial."""
     if not budget or not budget.get("effects"):
         return []
 
@@ -632,7 +632,7 @@ def _budget_tables(budget: BudgetEntry | None) -> list[Table]:
     places = sorted((left.get("sites") or {}).items(), key=lambda item: -item[1])[:2]
     where = ", ".join(f"{site} {percent(p)}" for site, p in places)
     rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
-    how = str(budget["method"])
+    how = str(budget["method"]) if held_out else "no trial is held out, so no share of the gap is known"
     note = (
         f"{how[0].upper()}{how[1:]}. Present: probability over all sets of effects fitted. Shares with 90 % intervals."
     )
