@@ -69,6 +69,9 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     LOG.info("read %s: %d trials, %d readings", folder, len(trials), sum(t.channels.size for t in trials))
+    fitted = {t.case for t in trials if not t.holdout}
+    if held := dict.fromkeys(t.case for t in trials if t.case not in fitted):
+        warnings.append(f"trials.csv: every trial of case {', '.join(held)} is marked holdout: `fit` leaves it out")
     look_at_declarations(head, known, warnings)
     look_at_starts(head, trials, warnings)
     look_at_repeats(head, trials, warnings)

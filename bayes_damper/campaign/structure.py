@@ -274,6 +274,11 @@ class Campaign:
         return tuple(t for t in self.trials if t.key in last)
 
     @property
+    def fitted_cases(self) -> tuple[str, ...]:
+        """The cases of which a trial is left that is not marked holdout."""
+        return tuple(dict.fromkeys(t.case for t in self.trials if not t.holdout))
+
+    @property
     def training(self) -> tuple[Trial, ...]:
         """The trials that are not held out."""
         held = {t.key for t in self.heldout}

@@ -59,10 +59,15 @@ def plan_fit(
     recorded = source.campaign if isinstance(source, RecordedSource) else None
     if recorded is not None:
         experiment = experiment_of(recorded, prior_set)  # raises where file and campaign contradict each other
-    chosen = list(source.cases) if cases is None else list(dict.fromkeys(cases))
+    fitted = list(source.cases if recorded is None else recorded.fitted_cases)
+    chosen = fitted if cases is None else list(dict.fromkeys(cases))
     unknown = [case for case in chosen if case not in source.cases]
     if unknown:
         raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(source.cases)}")
+    if held := [case for case in chosen if case not in fitted]:
+        raise InputError(
+            f"--case {held[0]}: each of its trials is marked holdout in trials.csv, so nothing is left to fit"
+        )
     if taken := [case for case in chosen if case in _TAKEN]:
         raise InputError(
             f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,10 +15,12 @@ from small_rig import NOISE, RIG, STIFFNESSES, measured, variant
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.calibration.correlated_noise import fit_with_noise
 from bayes_damper.calibration.posterior import RecordPosterior
+from bayes_damper.campaign import load_campaign
 from bayes_damper.diagnosis import search
 from bayes_damper.diagnosis.pairs import ComposedProblem
 from bayes_damper.errors import InputError
 from bayes_damper.fit import fit
+from bayes_damper.fit.plan import plan_fit
 from bayes_damper.fit.recorded import _trial_draws, fit_with_effect
 from bayes_damper.simulation.composition import compose
 
@@ -155,3 +158,17 @@ def test_no_draw_of_a_trials_own_time_of_release_is_negative():
     times = _trial_draws(posterior, drawn)[0]["release_time"]
     assert times.min() == 0.0
     assert times.max() == pytest.approx(1e-3 * drawn[0].max())
+
+
+def test_a_case_of_which_every_trial_is_held_out_is_not_fitted(tmp_path: Path) -> None:
+    folder = write_synthetic(tmp_path, (("I", 6.2, 4.7), ("IV", 10.2, 4.7)), repeats=1)
+    rows = (folder / "trials.csv").read_text().splitlines()
+    marked = [f"{row},{str(',IV,' in row).lower()}" for row in rows[1:]]
+    (folder / "trials.csv").write_text("\n".join([rows[0] + ",holdout", *marked]))
+    assert "trials.csv: every trial of case IV is marked holdout: `fit` leaves it out" in load_campaign(folder).warnings
+    others = dict.fromkeys(("priors", "normal_force", "most_steps")) | {"seed": 1, "thorough": False, "joint": True}
+    plan = plan_fit(str(folder), cases=None, **others)
+    assert plan["cases"] == ["I"]
+    assert not plan["joint"]
+    with pytest.raises(InputError, match="--case IV: each of its trials is marked holdout"):
+        plan_fit(str(folder), cases=["IV"], **others)
