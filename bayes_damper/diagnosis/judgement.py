@@ -28,7 +28,7 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.latency import AS_LATE, with_latency
 from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import DRIFT
-from bayes_damper.diagnosis.lone import left_alone
+from bayes_damper.diagnosis.lone import leaving
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, odd_shapes, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, drifts_of, search
@@ -145,7 +145,7 @@ def judge_without_repeats(
     found = as_candidates(found, sets)
     best = next((c.fit for c in found if c.fit is not None), None)
     seen = Seen.of(fit, found, best if first is None else first, report)
-    left_by = cache(partial(left_alone, fit))
+    left_by = cache(leaving(fit))
     none_left = left_by(fit)
     left = none_left if first is None else left_by(first)
     names = sorted(seen.evidence)

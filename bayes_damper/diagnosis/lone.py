@@ -2,19 +2,23 @@
 
 Without repeats nothing separates a wrong model from correlated noise; sums of squares on held-out readings against the
 noise of the sensors show what is left. Which effects are present is decided on fitted readings alone (sets.py), so that
-held-out ones can score it.
+held-out ones can score it. A single record with nothing held out has its second half in place of repeats: a name counts
+as far as a fit to the first half predicts it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from bayes_damper.calibration import Calibration
+from bayes_damper.calibration import Calibration, calibrate
 from bayes_damper.calibration.noise import tails_of
 from bayes_damper.diagnosis.gap import squares_of_trials
+from bayes_damper.diagnosis.outliers import without
 from bayes_damper.diagnosis.remainder import odd_shapes
 from bayes_damper.diagnosis.shares import products_of
 from bayes_damper.diagnosis.verdict import RULE, Left, Rule
@@ -47,6 +51,42 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
         return left
     closed = products_of([nominal, fit], heldout).closed(1).median
     return left if closed is None else replace(left, share=min(max(1.0 - closed, 0.0), 1.0))
+
+
+def leaving(nominal: Calibration) -> Callable[[Calibration], Left]:
+    """What a fit leaves, for trials without repeats: `left_alone`, and for a single record `left_of_the_rest` too."""
+    problem = nominal.problem
+    single = len(problem.trials) == 1 and not problem.experiment.heldout
+    return partial(left_of_the_rest, nominal, _rest(nominal)) if single else partial(left_alone, nominal)
+
+
+def left_of_the_rest(nominal: Calibration, before: tuple[float, float], fit: Calibration) -> Left:
+    """As `left_alone`, with at least the share that a fit to the first half of a single record leaves of the second.
+
+    before : what the nominal model leaves of that, and what noise does, as by `_rest`. Where no gap stands out there,
+    nothing shows whether the answer holds beyond what it was fitted to, and all of the record counts.
+    """
+    whole = left_alone(nominal, fit)
+    if fit is nominal or before[0] <= REDUCIBLE * before[1]:
+        return whole
+    after, floor = _rest(fit)
+    return replace(whole, share=max(whole.share, min(max((after - floor) / (before[0] - floor), 0.0), 1.0)))
+
+
+def _rest(fit: Calibration) -> tuple[float, float]:
+    """Squares, over the sensors' variance, that a fit to the first half of a record leaves of the rest; of noise alone.
+
+    The other way round a rig that starts free has no known beginning.
+    """
+    problem = fit.problem
+    (i,) = problem.trials
+    y = problem.experiment.trials[i].y
+    hidden = np.broadcast_to(np.arange(y.shape[1]) >= y.shape[1] // 2, y.shape)
+    own = problem.changed(experiment=without(problem.experiment, {i: hidden}))
+    begun = calibrate(own, [fit.q], eta=fit.eta, anneal=False)
+    seen = hidden & np.isfinite(y)
+    residual = (y - begun.simulated()[i]) / np.array(problem.noise.floor)[: len(y), None]
+    return float(np.sum(residual[seen] ** 2)), float(seen.sum())
 
 
 def left_of_squares(before: np.ndarray, after: np.ndarray, floor: np.ndarray, rule: Rule = RULE) -> Left:

@@ -35,7 +35,7 @@ from bayes_damper.diagnosis import diagnose, judgement, pairs, pipeline
 from bayes_damper.diagnosis import sensitivity as sensitivities
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
-from bayes_damper.diagnosis.lone import left_alone, left_of_squares
+from bayes_damper.diagnosis.lone import leaving, left_alone, left_of_squares
 from bayes_damper.diagnosis.notes import symmetries, time_or_amplitude
 from bayes_damper.diagnosis.outliers import outlying, outlying_in_words, without
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem, Second, best_pairs, pair_problem
@@ -544,6 +544,31 @@ def test_a_gap_below_the_noise_is_shared_out_by_products_of_residuals(monkeypatc
         residuals=lambda: {0: noise},
     )  # fmt: skip
     assert left_alone(nominal, fit).share == pytest.approx(share, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("torque", "holds"),
+    [(lambda x, v: 4.0 * math.tanh(v / 0.05), True), (lambda x, v: 8.0 * math.exp(-((x / 0.2) ** 2)) * v, False)],
+    ids=["dry", "brake at the bottom"],
+)
+def test_an_answer_to_a_single_record_counts_as_far_as_its_first_half_predicts_the_second(torque, holds):
+    """A brake that acts near the bottom of the swing takes a straight line off each swing, as dry friction does."""
+    omega, times = 2.0 * math.pi * 1.6, np.arange(0.0, 3.0, 0.02)
+
+    def motion(_: float, x: np.ndarray) -> list[float]:
+        return [x[1], -(omega**2) * x[0] - 0.01 * omega * x[1] - torque(*x)]
+
+    y = solve_ivp(motion, (0.0, 3.0), [1.0, 0.0], "DOP853", times, rtol=1e-10, atol=1e-12).y[:1]
+    y += 2e-3 * np.random.default_rng(3).standard_normal(times.size)
+    record = TrialRecord("1", "I", False, 1, times, y, 0, 0.0)
+    stiffness = (omega**2, 0.05 * omega**2)
+    rig = Experiment({"J1": (1.0, 0.0)}, (stiffness,), (record,), quantity="displacement", start="free")
+    nominal = calibrate_nominal(rig, nominal="linear")
+    found = search(nominal, offered(rig, "linear", {"bearing_drag": EFFECTS["bearing_drag"]}))
+    dry = next(c.fit for c in found if c.variant.name == "dry")
+    alone, predicting = left_alone(nominal, dry).share, leaving(nominal)(dry).share
+    assert alone < 0.3
+    assert (predicting < 0.2) if holds else (predicting > 0.5)
 
 
 def test_both_dry_frictions_are_one_answer_beside_a_linear_model():
