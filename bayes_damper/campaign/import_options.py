@@ -251,9 +251,8 @@ def spec_from_options(
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given, so all results are per unit inertia (primary_inertia = 1).")
     pattern = given.get("pattern")
-    declared = (
-        "configuration" in given or "{configuration}" in str(pattern) or any("configuration" in row for row in rows)
-    )
+    asked = ("configuration" in about for about in (given, *rows))
+    declared = any(asked) or "{configuration}" in str(pattern)
     own: dict[Path, dict[str, Any]] = {}
     own_columns = all(any("columns" in row for row in about) for _, about in files_and_rows)
     if "columns" not in given and several == 1 and sources[0].is_file() and not own_columns:

@@ -51,20 +51,8 @@ def check_declared(head: Head, trials: Sequence[Trial], faults: list[str], warni
     _check_measurement(head, trials, faults, warnings)
 
 
-def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
-    where = "campaign.toml [rig]"
-    for key in _NOT_NEGATIVE:
-        constant = getattr(rig, key)
-        if constant is not None and constant.std >= constant.value > 0.0:
-            faults.append(
-                f"{where}: {key} = {constant.value:g} with std = {constant.std:g}: the uncertainty is as large as the "
-                "value, which cannot be negative; give the standard uncertainty in the same unit"
-            )
-    if (beside := rig.inertial_coupling).std > abs(beside.value) > 0.0:
-        warnings.append(
-            f"{where}: inertial_coupling = {beside.value:g} with std = {beside.std:g}: the uncertainty is larger than "
-            "the value, so that its sign is open; is std in the same unit? (For an unknown one give value = 0.0.)"
-        )
+def _check_magnet(rig: Rig, where: str, warnings: list[str]) -> None:
+    """Radii and pull of a magnet, held against each other and the inertias."""
     if rig.magnet_radius is not None and rig.bar_radius is not None and rig.magnet_radius.value >= rig.bar_radius.value:
         warnings.append(
             f"{where}: magnet_radius = {rig.magnet_radius.value:g} m is not smaller than bar_radius = "
@@ -88,6 +76,23 @@ def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: l
                 f"face of {rig.magnet_radius.value:g} m radius pulls, {most_pull:.2g} N; in newtons (a pull of 1 kg is "
                 "9.81 N)?"
             )
+
+
+def _check_rig(rig: Rig, trials: Sequence[Trial], faults: list[str], warnings: list[str]) -> None:
+    where = "campaign.toml [rig]"
+    for key in _NOT_NEGATIVE:
+        constant = getattr(rig, key)
+        if constant is not None and constant.std >= constant.value > 0.0:
+            faults.append(
+                f"{where}: {key} = {constant.value:g} with std = {constant.std:g}: the uncertainty is as large as the "
+                "value, which cannot be negative; give the standard uncertainty in the same unit"
+            )
+    if (beside := rig.inertial_coupling).std > abs(beside.value) > 0.0:
+        warnings.append(
+            f"{where}: inertial_coupling = {beside.value:g} with std = {beside.std:g}: the uncertainty is larger than "
+            "the value, so that its sign is open; is std in the same unit? (For an unknown one give value = 0.0.)"
+        )
+    _check_magnet(rig, where, warnings)
     for key, (least, most, unit) in _POSSIBLE.items():
         constant = getattr(rig, key)
         if constant is not None and constant.value != 0.0 and not least <= constant.value <= most:

@@ -5,7 +5,7 @@ The rig is that of a campaign, fitted or not, measured or planned, or the thesis
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -232,16 +232,20 @@ def simulate_record(
             f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit, rig.kind, rig.quantity)}" for p in variant.parameters
         ]
     write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
-    warnings = [*suspect, *([] if law is None else _beyond(law, run, times, coupled))]
+    warnings = (*suspect, *([] if law is None else _beyond(law, run, times, coupled)), *_unseen(values, times))
+    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=warnings)
+
+
+def _unseen(values: Mapping[str, float], times: NDArray[np.float64]) -> Iterator[str]:
+    """Sentences where readings at these times show no motion."""
     if (delay := values.get("delay", 0.0)) >= times[-1]:
-        warnings.append(f"the release, at {delay:g} s, comes after the record's end at {times[-1]:g} s: nothing moves")
+        yield f"the release, at {delay:g} s, comes after the record's end at {times[-1]:g} s: nothing moves"
     period = 2.0 * np.pi * np.sqrt(values["J1"] / values["k1t"]) if values["k1t"] > 0.0 else np.inf
     if (read := period / float(np.median(np.diff(times)))) < _FEWEST:
-        warnings.append(
+        yield (
             f"the primary on its spring swings with a period of {period:.3g} s, which has {read:.2g} readings: "
             "too few to show it; raise --rate"
         )
-    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=tuple(warnings))
 
 
 def _beyond(law: Law, run: Callable[[Quantity], Simulation], times: NDArray[np.float64], coupled: bool) -> list[str]:

@@ -59,19 +59,7 @@ def plan_fit(
     recorded = source.campaign if isinstance(source, RecordedSource) else None
     if recorded is not None:
         experiment = experiment_of(recorded, prior_set)  # raises where file and campaign contradict each other
-    fitted = list(source.cases if recorded is None else recorded.fitted_cases)
-    chosen = fitted if cases is None else list(dict.fromkeys(cases))
-    unknown = [case for case in chosen if case not in source.cases]
-    if unknown:
-        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(source.cases)}")
-    if held := [case for case in chosen if case not in fitted]:
-        raise InputError(
-            f"--case {held[0]}: each of its trials is marked holdout in trials.csv, so nothing is left to fit"
-        )
-    if taken := [case for case in chosen if case in _TAKEN]:
-        raise InputError(
-            f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
-        )
+    chosen = _chosen_of(source.cases if recorded is None else recorded.fitted_cases, source.cases, cases, campaign)
     if normal_force not in LAWS:
         raise InputError(f"normal_force {normal_force!r}: expected linear or constant")
     if noise not in KINDS:
@@ -116,6 +104,22 @@ def plan_fit(
         "thorough": thorough,
         "most_steps": most_steps,
     }
+
+
+def _chosen_of(fitted: Sequence[str], known: Sequence[str], cases: Sequence[str] | None, campaign: str) -> list[str]:
+    """The cases to fit; fitted : those of the known ones of which a trial is left to fit; cases : asked for."""
+    chosen = list(fitted if cases is None else dict.fromkeys(cases))
+    if unknown := [case for case in chosen if case not in known]:
+        raise InputError(f"--case {unknown[0]}: there is no such case; {campaign} has {', '.join(known)}")
+    if held := [case for case in chosen if case not in fitted]:
+        raise InputError(
+            f"--case {held[0]}: each of its trials is marked holdout in trials.csv, so nothing is left to fit"
+        )
+    if taken := [case for case in chosen if case in _TAKEN]:
+        raise InputError(
+            f"case {taken[0]!r}: results have a folder of that name; give the case another label in trials.csv"
+        )
+    return chosen
 
 
 def possible(
