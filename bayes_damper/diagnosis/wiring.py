@@ -61,9 +61,12 @@ WAYS: tuple[tuple[str, Callable[[Array], Array]], ...] = (
 
 
 def miswired(nominal: Calibration) -> Wiring | None:
-    """The way of wiring under which the nominal model fits best, if it fits badly as the records are."""
-    before = _left(nominal)
-    if nominal.problem.experiment.start != "rest" or not before > POOR:
+    """The way of wiring under which the nominal model fits best, if it fits badly as the records are.
+
+    Of one body that starts free nothing shows the sign; of two it shows which way they swing together.
+    """
+    before, experiment = _left(nominal), nominal.problem.experiment
+    if (experiment.start != "rest" and not experiment.coupled) or not before > POOR:
         return None
     best: Wiring | None = None
     for words, change in WAYS:

@@ -47,3 +47,24 @@ def test_other_wrong_wirings_are_told(seed, change, coupled_only, words, poor):
 def test_a_rig_that_is_wired_rightly_is_not_doubted(size):
     """Neither without a gap nor with a blow that no law explains, as strong as the spring."""
     assert miswired(calibrate_nominal(measured(4, torque=knock(0.1, 0.05, size)))) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda y: y, None),
+        (lambda y: y * np.array([[1.0], [-1.0]]), "channel 2 reversed"),
+        (lambda y: y[::-1], "channels exchanged"),
+    ],
+    ids=["right", "reversed", "exchanged"],
+)
+def test_two_bodies_that_start_free_show_how_they_are_wired(change, words):
+    whole = rewired(measured(2), change)
+    cut = [
+        replace(t, times=t.times[40:] - t.times[40], y=np.ascontiguousarray(t.y[:, 40:]), theta0=0.0, theta0_sd=0.0)
+        for t in whole.trials
+        if t.coupled
+    ]
+    found = miswired(calibrate_nominal(replace(whole, start="free", trials=tuple(cut))))
+    assert (found is None) if words is None else (found is not None and words in found.words)
