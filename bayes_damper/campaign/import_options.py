@@ -123,6 +123,7 @@ _ITEMS: dict[str, tuple[type, ...]] = {
     "matlab_data": (str,), "clock": (int, float), "wrap": (int, float), "scale": (int, float),
 }  # fmt: skip
 """What the lists of an import table may hold."""
+_Row = Mapping[str, Any]  # of a sheet: option -> its value
 _WORD_OR_NUMBER = ("release", "offset")
 """Keys of a sheet whose cells hold a word or a number."""
 _LEAST: dict[str, float] = {"every": 1, "skip_lines": 0, "before": 0.0, "k1t_std": 0.0}
@@ -245,8 +246,8 @@ def spec_from_options(
             "and the files in order, the primary before the secondary"
         )
     words = _words_of(given.pop("words", []))
-    files_and_rows = _files_and_rows(sources, rows, several)
-    groups = [files for files, _ in files_and_rows]
+    apart = _files_and_rows(sources, rows, several)
+    groups = [files for files, _ in apart]
     caveats = []
     if "primary_inertia" not in given:
         caveats.append("The inertia was not given, so all results are per unit inertia (primary_inertia = 1).")
@@ -254,7 +255,7 @@ def spec_from_options(
     asked = ("configuration" in about for about in (given, *rows))
     declared = any(asked) or "{configuration}" in str(pattern)
     own: dict[Path, dict[str, Any]] = {}
-    own_columns = all(any("columns" in row for row in about) for _, about in files_and_rows)
+    own_columns = all(any("columns" in row for row in about) for _, about in apart)
     if "columns" not in given and several == 1 and sources[0].is_file() and not own_columns:
         own = _guessed_all([s for s in sources if s.is_file()], given, caveats, declared)
         given |= own.pop(Path(), {})
@@ -266,9 +267,7 @@ def spec_from_options(
     coupled = isinstance(columns, list) and len(columns) > 1
     common: dict[str, Any] = {"case": "A", "configuration": "coupled" if coupled else "uncoupled", "k1t": "estimate"}
     common |= {k: given[k] for k in TRIAL if k in given and k not in ("source", "trial", "file", "sha256")}
-    trials = [
-        _trial_row(group, common | own.get(group[0], {}), pattern, about, words) for group, about in files_and_rows
-    ]
+    trials = [_trial_row(files, common | own.get(files[0], {}), pattern, about, words) for files, about in apart]
     if "case" not in given and "{case}" not in str(pattern) and not any("case" in row for row in rows):
         _name_cases(trials, str(pattern), given.get("kind") == "translational")
     rubbing = {"magnet_pull", "magnet_radius"} & given.keys()
@@ -300,16 +299,14 @@ def _measurement_of(given: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _files_and_rows(
-    sources: Sequence[Path], rows: Sequence[Mapping[str, Any]], several: int
-) -> list[tuple[list[Path], list[Mapping[str, Any]]]]:
+def _files_and_rows(sources: Sequence[Path], rows: Sequence[_Row], several: int) -> list[tuple[list[Path], list[_Row]]]:
     """Of each trial its files, and the rows of the sheet that may be about it.
 
     Where several rows name one file, it holds a trial for each of them, side by side or one after the other.
     """
     if several > 1:
         return [(list(sources[i : i + several]), list(rows)) for i in range(0, len(sources), several)]
-    out: list[tuple[list[Path], list[Mapping[str, Any]]]] = []
+    out: list[tuple[list[Path], list[_Row]]] = []
     for path in dict.fromkeys(sources) if any("file" in row for row in rows) else sources:
         named = [row for row in rows if "file" in row and Path(str(row["file"])).name == path.name]
         exact = [row for row in named if path.parts[-len(parts := Path(str(row["file"])).parts) :] == parts]

@@ -189,7 +189,7 @@ def simulate_record(
     suspect = _apply(settings, rig, own, effect, faults)
     if not inputs and not values["theta0"]:
         faults.append(
-            "this rig declares no release; give one with --set theta0=NUMBER, in " + unit_of("theta0", rig.kind)
+            f"this rig declares no release; give one with --set theta0=NUMBER, in {unit_of('theta0', rig.kind)}"
         )
     law: Law | None = None if chosen is None else chosen[0].law
     if law is not None and (why := law.mismatch(rig.kind, values)) is not None:
