@@ -308,7 +308,7 @@ def _files_and_rows(sources: Sequence[Path], rows: Sequence[_Row], several: int)
         return [(list(sources[i : i + several]), list(rows)) for i in range(0, len(sources), several)]
     out: list[tuple[list[Path], list[_Row]]] = []
     for path in dict.fromkeys(sources) if any("file" in row for row in rows) else sources:
-        named = [row for row in rows if "file" in row and Path(str(row["file"])).name == path.name]
+        named = [row for row in rows if "file" in row and _describes(row, path, {})]
         exact = [row for row in named if path.parts[-len(parts := Path(str(row["file"])).parts) :] == parts]
         for own in exact or named or [{}]:
             out.append(([path], [row for row in rows if "file" not in row or row is own]))

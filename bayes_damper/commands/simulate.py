@@ -27,7 +27,7 @@ from bayes_damper.errors import ExitCode, InputError
 from bayes_damper.inputs import number_in, real
 from bayes_damper.priors.distributions import Normal
 from bayes_damper.priors.files import campaign_priors, load_priors
-from bayes_damper.priors.limits import CURVES
+from bayes_damper.priors.limits import CURVES, OF_CURVES
 from bayes_damper.published.measurements import load_published
 from bayes_damper.published.sources import is_published
 from bayes_damper.rig.equations import ROWS
@@ -381,7 +381,7 @@ def _apply(
     if rig.coupled and "J12" in given and values["J12"] ** 2 >= values["J1"] * values["J2"]:
         faults.append("--set J12: must be smaller than sqrt(J1 J2): no rig has such an inertia matrix")
     if "tail" in given and not CURVES[0] <= values["tail"] <= CURVES[1]:
-        faults.append(f"--set tail: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}")
+        faults.append(f"--set tail: {OF_CURVES}")
     return suspect
 
 

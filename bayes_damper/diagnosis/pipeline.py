@@ -262,10 +262,11 @@ def _sites(
     if miswired:
         weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
-    imitated = 0.0 if imitator is None else (1.0 - answers.left.share) * -math.expm1(-answers.left.odd)
+    imitated = 0.0
     if imitator is not None:
         rest = {site: after.probabilities.get(site, 0.0) for site in (*known, imitator)}
-        imitated *= 1.0 - (max(rest.values()) - rest[imitator])
+        at_home = 1.0 - (max(rest.values()) - rest[imitator])
+        imitated = (1.0 - answers.left.share) * -math.expm1(-answers.left.odd) * at_home
     for site in known:
         share = imitated * (site == imitator) + (1.0 - imitated) * weights[site] / total
         sites[site] += answers.probabilities["unknown"] * share

@@ -65,8 +65,11 @@ def miswired(nominal: Calibration) -> Wiring | None:
 
     Of one body that starts free nothing shows the sign; of two it shows which way they swing together.
     """
-    before, experiment = _left(nominal), nominal.problem.experiment
-    if (experiment.start != "rest" and not experiment.coupled) or not before > POOR:
+    experiment = nominal.problem.experiment
+    if experiment.start != "rest" and not experiment.coupled:
+        return None
+    before = _left(nominal)
+    if not before > POOR:
         return None
     best: Wiring | None = None
     for words, change in WAYS:

@@ -25,6 +25,7 @@ _ANGLES = 20.0  # a release over the largest one declared or read: degrees for r
 _NOISES = 1e3  # a noise over the largest reading
 CURVES = (-1.0, 2.0)
 """Of `tail`: a tanh has 0, an arctangent 1; farther out the curve between them overshoots."""
+OF_CURVES = f"curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ def _cannot_be(name: str, value: Distribution | float, limits: Mapping[str, _Lim
     """Why a fixed value or a prior lies beyond what can be; still : the largest fixed drag with which a rig moves."""
     for x, given_as, cause in _held(value):
         if name == "tail" and not CURVES[0] <= x <= CURVES[1]:
-            return f"{given_as} cannot be: curves of friction have {CURVES[0]:g} to {CURVES[1]:g}"
+            return f"{given_as} cannot be: {OF_CURVES}"
         if name == "drag" and isinstance(value, float) and x > still:
             return (
                 f"fixed at {x:g}, above the largest torque of the records, {still:.3g}: nothing would move; check its "

@@ -100,8 +100,7 @@ def posterior_draws(
     """`n` draws of one case from arrays, from the `posterior.nc` of a fit, or from its `summary.json`.
 
     A summary knows no correlations: each parameter is then drawn by itself, log-normal with its mean and sd, or normal
-    where it can have either sign. The
-    numbers of a fit's effect are among the draws, as `effect.NAME`.
+    where it can have either sign. The numbers of a fit's effect are among the draws, as `effect.NAME`.
     """
     stored = source if isinstance(source, Mapping) else _stored(Path(source), case, n, rng)
     full = complete(stored, case, rig)
