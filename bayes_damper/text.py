@@ -184,6 +184,11 @@ def misses(entry: CaseEntry) -> str:
     return missed(any(c.get("repeats") for c in left), effect_of(entry)) if left else ""
 
 
+def begins_with_budget(verdict: str, held_out: bool) -> bool:
+    """Whether an answer begins with its budget: not what is `unknown` and was fitted, but tested by no trial."""
+    return verdict != "none" and (held_out or verdict != "unknown")
+
+
 def budget_sentence(budget: BudgetEntry | None, held_out: bool = True) -> str:
     """The gap by effects in a sentence; "" where no effect is present.
 

@@ -8,6 +8,7 @@ import pytest
 from bayes_damper.commands.check import Check
 from bayes_damper.commands.diagnose import Diagnosed, next_steps
 from bayes_damper.text import (
+    begins_with_budget,
     budget_sentence,
     counted,
     failed_sentence,
@@ -221,6 +222,15 @@ def test_whose_place_is_given_is_said_where_effects_are_present():
     both = divided({"bearing_drag": 0.5, "stick_slip": 0.2}, 0.3)
     assert left_beside(both) == " of what bearing drag and stick slip leave of it"
     assert left_beside(None) == left_beside(divided({"bearing_drag": 0.7}, 0.3, 0.4)) == ""
+
+
+@pytest.mark.parametrize(
+    ("verdict", "held_out", "leads"),
+    [("unknown", False, False), ("unknown", True, True), ("stick_slip", False, True), ("none", True, False)],
+)
+def test_an_unknown_answer_does_not_begin_with_an_effect_that_no_trial_tests(verdict, held_out, leads):
+    """ "Drag ... (probability 0.80) is present" had stood above `unknown` 97 %."""
+    assert begins_with_budget(verdict, held_out) is leads
 
 
 def test_no_share_of_a_gap_is_below_none_or_above_all_of_it():

@@ -53,6 +53,7 @@ from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import (
     UNDETERMINED,
     Printable,
+    begins_with_budget,
     budget_sentence,
     effects_to_fit,
     failed_sentence,
@@ -410,7 +411,8 @@ def _words(result: DiagnosisFile) -> list[str]:
         lines += [
             f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
         ]
-    divided = said(budget_sentence(result.get("budget"), held_out_of(gap))) if verdict != "none" else ""
+    leads = begins_with_budget(verdict, held_out_of(gap))
+    divided = said(budget_sentence(result.get("budget"), held_out_of(gap))) if leads else ""
     lines = [divided, *lines] if divided else lines
     failed = said(failed_sentence(result.get("budget")))
     learnt = said(law_sentence(result.get("law")))

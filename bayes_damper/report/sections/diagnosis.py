@@ -43,6 +43,7 @@ from bayes_damper.text import (
     COORDINATES,
     NOTHING,
     UNDETERMINED,
+    begins_with_budget,
     budget_sentence,
     effects_to_fit,
     failed_sentence,
@@ -98,7 +99,8 @@ def diagnosis_result(data: DiagnosisFile, folder: Path) -> Result:
     budget = data.get("budget")
     kind = _kind_of(data)
     said = partial(in_words_of, kind=kind, magnet=bool((data.get("rig") or {}).get("magnet", True)))
-    divided = said(budget_sentence(budget, gap is None or held_out_of(gap))) if budget and verdict != "none" else ""
+    held_out = gap is None or held_out_of(gap)
+    divided = said(budget_sentence(budget, held_out)) if budget and begins_with_budget(verdict, held_out) else ""
     likely = sites
     if verdict == "unknown":
         likely = sorted(places_of_rest(dict(sites), data.get("budget")).items(), key=lambda item: -item[1])
