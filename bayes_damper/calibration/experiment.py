@@ -23,6 +23,7 @@ from bayes_damper.campaign.records import (
     Release,
     common_grid,
     crossings,
+    evened,
     picks,
     release_of,
     rounding_of,
@@ -584,10 +585,11 @@ def experiment_of(
     scatter = dict(campaign.scatter)
     apart = scatter.pop("theta0", 0.0)
     reaction = reaction_unit(campaign) if any(t.prescribed for t in campaign.trials) else 1.0
-    for t, begins in zip(campaign.trials, _releases(campaign), strict=True):
+    clocks = evened([np.array(t.times, float) for t in campaign.trials])
+    for t, begins, times in zip(campaign.trials, _releases(campaign), clocks, strict=True):
         angle = Constant(0.0) if t.theta0 is None else t.theta0
-        times, channels = np.array(t.times, float), np.atleast_2d(np.array(t.channels, float))
-        inputs = t.inputs(measurement)
+        channels = np.atleast_2d(np.array(t.channels, float))
+        inputs = replace(t, times=times).inputs(measurement)
         if inputs is not None and inputs.motion is not None:
             inputs = replace(inputs, unit=reaction)
             channels[0] /= reaction

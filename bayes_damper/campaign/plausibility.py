@@ -216,8 +216,7 @@ def _look_at_clock(head: Head, trial: Trial, warnings: list[str]) -> None:
         most = f"{float(f'{100.0 * uneven:.2g}'):g} %"
         rounded = look.rounded_clock(times)
         why = (
-            f", as those of stamps rounded to {rounded[0]:g} s; the readings come at {rounded[1]:.5g} Hz: import them "
-            f"with `init --sample-rate {rounded[1]:.5g}` and no --time"
+            f", as those of stamps rounded to {rounded[0]:g} s; fits take the readings as even, at {rounded[1]:.5g} Hz"
             if rounded
             else ""
         )

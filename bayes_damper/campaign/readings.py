@@ -21,6 +21,8 @@ STOPPED = 8  # equal readings of a sensor that never repeats itself otherwise
 FILLED_RUNS, FILLED = 8, 0.4  # runs of readings that were put in, and the least share of the steps that they hold
 STANDS_OUT, EQUAL = 12.0, 3  # noises by which a top stands out, and equal readings that make it flat
 TURNED, TOP = 1.4, 6.0  # times that a sinusoid turns for, which a flat top lasts, and the noises within which it lies
+UNITS = (0.1, 0.01, 1e-3, 1e-4, 1e-5)  # s, that stamps are rounded to
+ROUNDED_OFF = 0.55  # of such a unit: half of it, and what a line through the stamps errs by
 SPIKE = 10.0  # noises by which a single reading leaves its neighbours
 OF_SCATTER, OF_ERROR = 0.15, 8.0  # of the scatter, and standard errors, beyond which a level of rest is not 0
 _HELD = 0.78  # of its peak: what is still further out half-way to the next crossing does not swing freely yet
@@ -179,14 +181,20 @@ def within_gaps(at: Array, times: Array) -> NDArray[np.bool_]:
 def rounded_clock(times: Array) -> tuple[float, float] | None:
     """To what the stamps of an even clock were rounded, s, and its rate, Hz; None if these are not such stamps.
 
-    times : (n,) s, without gaps
+    times : (n,) s; single readings may be missing
     """
-    step, first = np.polyfit(np.arange(len(times)), times, 1)
-    off = float(np.max(np.abs(times - first - step * np.arange(len(times)))))
-    for unit in (0.1, 0.01, 1e-3, 1e-4, 1e-5):
-        if np.max(np.abs(times / unit - np.round(times / unit))) < 1e-3:
-            return (unit, 1.0 / float(step)) if off < 0.55 * unit < 0.55 * step else None
-    return None
+    step, first = np.polyfit(places := places_of(times), times, 1)
+    off = float(np.max(np.abs(times - first - step * places)))
+    unit = next((u for u in UNITS if np.max(np.abs(times / u - np.round(times / u))) < 1e-3), None)
+    coarse = unit is not None and EVEN * step < off < ROUNDED_OFF * unit < ROUNDED_OFF * step
+    return (unit, 1.0 / float(step)) if unit is not None and coarse else None
+
+
+def places_of(times: Array) -> NDArray[np.intp]:
+    """Which reading of an even clock each one is, from 0: (n,); those that are missing count."""
+    steps = np.diff(times)
+    single = float(np.mean(steps[steps < DOUBLE * np.median(steps)]))
+    return np.concatenate([[0], np.cumsum(np.maximum(np.round(steps / single), 1.0))]).astype(np.intp)
 
 
 def unevenness_of(times: Array) -> float:

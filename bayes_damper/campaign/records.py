@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 TOLERANCE = 0.02  # share of a step by which readings may lie beside a common grid
 LARGEST_GRID = 3.0  # times the readings of the longest record; beyond, gaps are longer than what was read
 STEPS_OF_DOUBT = 1.5  # sampling steps between nominal and real release that are left to the fit
+FEW = 8  # stamps up to which a clock is taken as it is
 FLICKER = 0.05  # share of a rounded channel's changes that are undone at once, beyond which its noise sets it moving
 ROUNDED = 1.3  # noise of a rounded channel, over that of its rounding alone, beyond which it averages like any other
 LARGE = 200_000
@@ -223,6 +224,33 @@ def crossings(times: Array, readings: Array, step: float, period: float) -> tupl
             middles = here[first + (length * (np.arange(parts) + 0.5) / parts).astype(np.intp)]
             values[middles], weights[middles] = y[first], 1.0 / math.sqrt(parts)
     return values, weights
+
+
+def evened(clocks: Sequence[Array]) -> list[Array]:
+    """The clocks (n_i,), s, of all records; the even ones whose stamps were rounded as they were before that.
+
+    A body with velocity v moves by v dt while a stamp is wrong by dt. Where stamps allow it, records have their rate in
+    common, and their instants.
+    """
+    coarse = {k: found[0] for k, c in enumerate(clocks) if c.size > FEW and (found := look.rounded_clock(c))}
+    if not coarse:
+        return list(clocks)
+    places = {k: look.places_of(clocks[k]) for k in coarse}
+    lines = {k: np.polyfit(places[k], clocks[k], 1) for k in coarse}
+    weights = {k: len(p) * float(np.var(p)) for k, p in places.items()}
+    shared = sum(w * lines[k][0] for k, w in weights.items()) / sum(weights.values())
+    out, known = list(clocks), list[Array]()
+    for k, unit in coarse.items():
+        line = np.array([shared, float(np.mean(clocks[k] - shared * places[k]))])
+        fitting = [x for x in (*known, line, lines[k]) if _off(x, places[k], clocks[k]) < look.ROUNDED_OFF * unit]
+        known.append(fitting[0])
+        out[k] = np.polyval(fitting[0], places[k])
+    return out
+
+
+def _off(line: Array, places: NDArray[np.intp], clock: Array) -> float:
+    """Largest distance, s, of stamps from a line through the readings' places."""
+    return float(np.max(np.abs(np.polyval(line, places) - clock)))
 
 
 def common_grid(clocks: Sequence[Array]) -> tuple[Array, list[NDArray[np.intp]]] | None:

@@ -328,12 +328,13 @@ def test_stamps_of_an_even_clock_with_too_few_digits_give_its_rate():
     jittering = np.round(np.arange(200) / 29.97 + 0.006 * np.sin(np.arange(200.0)), 2)
     assert look.rounded_clock(jittering) is None
     assert look.rounded_clock(np.arange(200) / 29.97) is None
+    assert look.rounded_clock(np.delete(times, [20, 21, 90])) == pytest.approx((0.01, 29.97), rel=1e-3)
 
 
 def test_check_names_the_rate_behind_rounded_stamps(tmp_path):
     times = np.round(np.arange(0.0, 12.0, 1.0 / 29.97), 2)
     warnings = cart(tmp_path / "rig", [swing(times)] * 2, times=times)
-    assert any("stamps rounded to 0.01 s; the readings come at 29.97" in w for w in warnings)
+    assert any("stamps rounded to 0.01 s; fits take the readings as even, at 29.97" in w for w in warnings)
 
 
 def test_stretches_far_apart_swing_at_their_own_frequency():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bayes_damper.calibration.experiment import TrialRecord, release_window
-from bayes_damper.campaign.records import LARGE, Release, common_grid, picks, release_of
+from bayes_damper.campaign.records import LARGE, Release, common_grid, evened, picks, release_of
 
 OMEGA, ANGLE, STEP = 45.0, 0.1, 1e-3
 READ = {
@@ -151,3 +151,25 @@ def test_readings_are_picked_only_where_there_are_many_and_they_come_fast():
     assert picks([LARGE // 2, LARGE // 2], [5e-5, 5e-5], period, False) == [1, 1]
     assert picks([LARGE, LARGE], [5e-5, 1e-3], period, False) == [22, 1]
     assert picks([200, 200], [5e-5, 1e-3], period, True) == [33, 1]
+
+
+def test_rounded_stamps_of_even_clocks_are_what_they_were_before():
+    """Three records of one logger, each with its own phase, one that lacks readings: within a thirtieth of a step."""
+    even = [np.arange(n) / 29.97 + phase for n, phase in ((117, 0.0), (90, 0.011), (60, 0.017))]
+    even[1] = np.delete(even[1], [20, 21, 60])
+    found = evened([np.round(t, 2) for t in even])
+    for t, true in zip(found, even, strict=True):
+        assert np.max(np.abs(t - true)) < 0.03 / 29.97
+
+
+def test_records_that_one_trigger_started_keep_their_instants_in_common():
+    """Repeats of different length: their readings still lie on one grid, bit for bit."""
+    long, short = evened([np.round(np.arange(n) / 47.3, 2) for n in (300, 200)])
+    assert np.array_equal(long[:200], short)
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_clocks_that_show_their_instants_stay(jitter):
+    """Even ones, and one that jitters by more than its stamps are rounded."""
+    clock = np.round(np.arange(200) / 250.0 + jitter * np.random.default_rng(1).uniform(-0.4, 0.4, 200), 5)
+    assert np.array_equal(evened([clock])[0], clock)
