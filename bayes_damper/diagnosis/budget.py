@@ -50,6 +50,7 @@ Array = NDArray[np.float64]
 
 SUBSET_STEPS = 12  # of the fits of smaller sets, which begin where the best set's lies
 LEAST_REACH = 1e-3  # share of the gap
+UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 BORNE_OUT = 0.5  # of its probability that an effect must keep on held-out trials to be in the budget
 
 
@@ -124,17 +125,21 @@ def budget_of(
     offered: int,
     outside: Mapping[frozenset[str], float],
     rng: np.random.Generator | None = None,
+    shows: bool = False,
 ) -> Budget:
     """The budget of weighed sets, without sites.
 
     offered : effects that the rig can have; outside : probability that a cause outside the library does what a set
-    explains, for the sets that are likely.
+    explains, for the sets that are likely; shows : whether noise cannot account for what the nominal model leaves. What
+    no effect explains is then an unknown cause, which divides no gap, and the best set with a name shows how far it
+    would close it.
     """
     absent: list[Part] = []
     left = list(sets)
     while True:
         weights = probabilities(left, offered)
-        top = max(weights, key=lambda names: weights[names])
+        named = [names for names in weights if names and "unknown" not in names and weights[names] > UNLIKELY]
+        top = max(named if shows and named else weights, key=lambda names: weights[names])
         top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
         best = next(s for s in left if s.names == top)
         parts, unexplained, leading = _parts(nominal, best, sets, weights, outside, rng)

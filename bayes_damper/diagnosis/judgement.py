@@ -26,7 +26,7 @@ from bayes_damper.calibration import (
     under,
 )
 from bayes_damper.calibration.latency import AS_LATE, with_latency
-from bayes_damper.diagnosis.budget import Budget, answers_of, budget_of, foreign_alone, idle_alone
+from bayes_damper.diagnosis.budget import UNLIKELY, Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import leaving
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
@@ -46,7 +46,6 @@ PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign c
 MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
 SETTLED = 0.1  # nats by which such a round moves the evidence at the end: slowly, where the valley is flat
 OTHER_CHOICES = "asking whether other priors, or a case or trial less, would change the answer"
-UNLIKELY = 0.01  # probability of a set below which it is not asked what it leaves
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
 Offered = Sequence[tuple[Effect, Variant]]
 Report = Callable[[str], None]
@@ -157,7 +156,7 @@ def judge_without_repeats(
         - (1.0 - foreign_alone(share, rule, odd_shapes(fits[some]))) * (1.0 - idle_alone(share, none_left, rule))
         for some, share in shares.items()
     }
-    budget = _budget(seen, sets, failing, rng)
+    budget = _budget(seen, sets, failing, rng, shows=rule.seen(none_left.nats) > 0.5)
     sets = _standing(sets, budget)
     shares = _shares_left(left_by, sets, len(names))
     alone = {s.members[0][0].name: s.evidence for s in reversed(sets) if len(s.members) == 1}
@@ -261,10 +260,11 @@ def _standing(sets: Sequence[SetFit], budget: Budget) -> list[SetFit]:
 
 
 def _budget(
-    seen: Seen, sets: Sequence[SetFit], foreign: Mapping[frozenset[str], float], rng: np.random.Generator
-) -> Budget:
-    """The gap as a budget; foreign : probability that a set is not what does what it explains."""
-    found = budget_of(seen.fit, sets, len(seen.evidence), foreign, rng)
+    seen: Seen, sets: Sequence[SetFit], foreign: Mapping[frozenset[str], float], rng: np.random.Generator,
+    shows: bool = False,
+) -> Budget:  # fmt: skip
+    """The gap as a budget; foreign : probability that a set is not what does what it explains; shows : as there."""
+    found = budget_of(seen.fit, sets, len(seen.evidence), foreign, rng, shows)
     known_map = bool(seen.fit.problem.noise.sensor) and not found.absent
     mapped = known_map or (seen.winner is not None and found.best.fit is seen.winner.fit)
     place = seen.after_map if mapped or not found.parts else site_map(found.best.fit, torque=False)

@@ -413,6 +413,27 @@ def test_the_next_best_set_is_judged_where_one_fails(monkeypatch):
     assert budget.best.names == {"b"}
 
 
+@pytest.mark.parametrize("first", [(), ("unknown",)])
+def test_where_the_gap_shows_the_best_named_set_divides_it(monkeypatch, first):
+    """Although no name is likelier than an unknown cause."""
+
+    def shares(nominal, best, sets, heldout, rng):
+        of = {n: Closed(0.87, (0.8, 0.9), "neighbours") for n in best.names}
+        return of, dict.fromkeys(best.names, (0.87, 0.02, 1.0)), Closed(0.13, (0.1, 0.2), "neighbours"), {}
+
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._shares", shares)
+    monkeypatch.setattr("bayes_damper.diagnosis.budget._coordinates", lambda best, effect: {})
+    nominal = SimpleNamespace(problem=SimpleNamespace(experiment=SimpleNamespace(heldout=(1,))))
+    known = {(): -8.0, ("a",): -1.0, ("b",): -1.2, ("c",): -30.0} | {first: 0.0}
+    sets = weighed([stub(names, plain, 0.0) for names, plain in known.items()])
+    foreign = dict.fromkeys((s.names for s in sets), 0.02)
+    assert not budget_of(nominal, sets, 20, foreign).parts
+    (part,) = budget_of(nominal, sets, 20, foreign, shows=True).parts
+    assert part.name == "a"
+    assert part.present < 0.5
+    assert part.share.median == 0.87
+
+
 def test_an_effect_that_closes_nothing_on_held_out_trials_leaves_the_budget(monkeypatch):
     told = {"a": (0.8, 0.02), "b": (-0.1, 0.03)}
 
