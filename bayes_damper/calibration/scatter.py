@@ -492,16 +492,18 @@ def _shortest(share: Array, of: float = 0.9) -> tuple[float, float]:
 # What is reported of it ----------------------------------------------------------------------------------------------
 
 
-def scatter_shown(fit: Calibration, unit: str) -> dict[str, ScatterEntry]:
+def scatter_shown(fit: Calibration, unit: str, missing: bool = False) -> dict[str, ScatterEntry]:
     """Entry `scatter` of the results: what the repeats show to differ from trial to trial; unit : of the readings.
 
-    trend_with_order : correlation, from -1 to 1, of the trials' own values with their order among repeats.
+    trend_with_order : correlation, from -1 to 1, of the trials' own values with their order among repeats; missing :
+    whether the model lacks a cause that nobody can name. It may differ from trial to trial too, or act differently in
+    swings that differ, and be all there is of a scatter: no interval then excludes 0.
     """
     return {
         size.name: {
             "sd": size.sd,
             "unit": "s" if size.name == RELEASE else "relative" if _in_proportion(size.name) else unit,
-            "hdi90": [size.low, size.high],
+            "hdi90": [0.0 if missing else size.low, size.high],
             "trend_with_order": trend_with_order(fit, size)[0],
         }
         for size in sizes_shown(fit)

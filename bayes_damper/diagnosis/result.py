@@ -146,7 +146,9 @@ class Diagnosis:
             ],
             "weighed": dict(self.weighed),
             "scatter": scatter_shown(
-                self.named or self.nominal, unit_of("sigma1", self.kind, self.experiment.quantity)
+                self.named or self.nominal,
+                unit_of("sigma1", self.kind, self.experiment.quantity),
+                missing=self.verdict == "unknown",
             ),
             "notes": list(self.notes),
             "seconds": self.seconds,

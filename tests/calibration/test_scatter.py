@@ -511,6 +511,15 @@ def test_each_size_comes_with_its_unit(monkeypatch):
     fit = SimpleNamespace(problem=SimpleNamespace(effect=None, switches=SimpleNamespace(scatter=Scatter(sizes))))
     units = {name: entry["unit"] for name, entry in scatters.scatter_shown(fit, "m").items()}
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
+    assert {tuple(x["hdi90"]) for x in scatters.scatter_shown(fit, "m").values()} == {(0.5, 2.0)}
+
+
+def test_beside_a_cause_without_a_name_no_scatter_is_sure(monkeypatch):
+    """A hand that touches the rig in some trials had been a spring that scatters by 0.1 to 0.3 %."""
+    monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.0, 1.0))
+    scatter = Scatter((Size("k1t", 0.002, 0.001, 0.003, 0.002, gained=4.0),))
+    fit = SimpleNamespace(problem=SimpleNamespace(effect=None, switches=SimpleNamespace(scatter=scatter)))
+    assert scatters.scatter_shown(fit, "m", missing=True)["k1t"]["hdi90"] == [0.0, 0.003]
 
 
 def in_order(sets, falls=0.01):
