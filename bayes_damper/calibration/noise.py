@@ -37,6 +37,11 @@ class Noise:
         return self.sensor or self.total
 
     @property
+    def over_sensors(self) -> Array:
+        """(channels,) the noise over that of the sensors alone: above 1 where it stands for the model's error too."""
+        return np.asarray(np.array(self.total) / np.array(self.floor))
+
+    @property
     def of_sensors(self) -> Noise:
         """White noise of the sensors alone, as if the model left nothing beside it."""
         white = (0.0,) * len(self.floor)

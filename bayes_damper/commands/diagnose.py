@@ -586,13 +586,15 @@ _Whitened = tuple[str, Array, Array, Array, tuple[Motion, int]]
 
 
 def _whitened(fit: Calibration) -> list[_Whitened]:
-    """Of each fitted trial: label, times, residuals over the noise (channels, n), weights, and its motion."""
+    """Of each fitted trial: label, times, residuals over the sensors' noise (channels, n), weights, and its motion."""
+    scale = fit.problem.noise.over_sensors[:, None]
     moved = {i: (m, k) for m in motions(fit) for k, i in enumerate(m.group.trials)}
     out = []
     for block in fit.linear.blocks:
         for k, i in enumerate(block.group.trials):
             trial = fit.problem.experiment.trials[i]
             r = -block.r[k].reshape(block.group.y.shape[1], -1)
+            r *= scale[: len(r)]
             out.append((trial_label(trial), trial.times, r, block.group.weight[k], moved[i]))
     return sorted(out, key=lambda row: row[0])
 

@@ -1,9 +1,10 @@
 """Where the residuals of a fit exceed the noise: time, frequency, channel, case, region of phase space; local events.
 
-All looks are taken at whitened residuals, unit variance under the noise model. The repeats of a case share what the
-model lacks and not their noise, so windows and bands are judged on their scaled mean, against what parameters can
-absorb. Each look gives a p-value, made up for the number of looks of its kind (Holm); an entry is listed if it stays
-below `SIZE`, so a fit that lacks nothing has any entry of a kind in at most that share of campaigns.
+All looks are taken at whitened residuals, unit variance under the noise of the sensors, also where a fit without
+repeats takes the model's own error for noise. The repeats of a case share what the model lacks and not their noise, so
+windows and bands are judged on their scaled mean, against what parameters can absorb. Each look gives a p-value, made
+up for the number of looks of its kind (Holm); an entry is listed if it stays below `SIZE`, so a fit that lacks nothing
+has any entry of a kind in at most that share of campaigns.
 """
 
 from __future__ import annotations
@@ -14,10 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import gammaincc, ndtr
+from scipy.special import fdtrc, stdtr
 
 from bayes_damper.calibration import Calibration
-from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.calibration.experiment import lone, repeats_by_reading
+from bayes_damper.diagnosis.gap import noise_spread
 from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
 from bayes_damper.runs.contents.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
 
@@ -27,7 +29,7 @@ SIZE = 0.05
 WINDOWS = (0.01, 0.03, 0.1)  # s
 BANDS = (1, 5)  # widths in lines of the periodogram
 CELLS = 6  # of phase space along each axis
-NOISE_SPREAD = 0.01  # relative uncertainty of the noise variance
+NOISE_SPREAD = 0.01  # relative standard deviation of the noise variance, at least
 MOST_ENTRIES = 12
 AT_ONCE = 2_000_000  # changed readings that responses to short torques are held of at a time
 EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
@@ -39,7 +41,7 @@ class Repeats:
     """Trials of the same case, configuration and times, whitened.
 
     mean (channels, n) of their residuals times the square root of their number: unit variance under noise;
-    single (trials, channels, n); weight (channels, n).
+    single (trials, channels, n); weight (channels, n); spread: relative standard deviation of the noise variance.
     """
 
     case: str
@@ -50,6 +52,7 @@ class Repeats:
     mean: Array
     single: Array
     weight: Array
+    spread: float = NOISE_SPREAD
 
 
 @dataclass(frozen=True)
@@ -136,10 +139,12 @@ def locate(fit: Calibration, *, events: bool = True) -> Where:
 
 
 def repeats_of(fit: Calibration) -> list[Repeats]:
-    """Whitened residuals (reading minus model) of the fitted trials in sets of repeats."""
+    """Residuals (reading minus model) of the fitted trials over the noise of the sensors, in sets of repeats."""
     experiment = fit.problem.experiment
+    scale, spread = fit.problem.noise.over_sensors[:, None], _spread(fit)
     blocks = [(i, block, k) for block in fit.linear.blocks for k, i in enumerate(block.group.trials)]
-    residuals = {i: -block.r[k].reshape(block.group.y.shape[1], -1) for i, block, k in blocks}
+    rows = {i: -block.r[k].reshape(block.group.y.shape[1], -1) for i, block, k in blocks}
+    residuals = {i: r * scale[: len(r)] for i, r in rows.items()}
     weights = {i: block.group.weight[k] for i, block, k in blocks}
     out = []
     for members in repeats_by_reading(experiment, list(residuals)):
@@ -148,8 +153,21 @@ def repeats_of(fit: Calibration) -> list[Repeats]:
         numbers = tuple(experiment.trials[i].number for i in members)
         mean = single.sum(axis=0) / math.sqrt(len(members))
         weight = np.min([weights[i] for i in members], axis=0)
-        out.append(Repeats(t.case, t.coupled, tuple(members), numbers, t.times, mean, single, weight))
+        out.append(Repeats(t.case, t.coupled, tuple(members), numbers, t.times, mean, single, weight, spread))
     return out
+
+
+def _spread(fit: Calibration) -> float:
+    """Relative standard deviation of the noise variance, as `learn_noise` finds it.
+
+    From a median of differences of n readings where there are no repeats and the model leaves an error: sqrt(8 / n);
+    from the mean power of the upper two thirds of the spectrum where it leaves none: sqrt(3 / n).
+    """
+    problem = fit.problem
+    if not lone(problem.experiment, problem.trials):
+        return max(NOISE_SPREAD, noise_spread(problem))
+    readings = sum(problem.experiment.trials[i].times.size for i in problem.trials)
+    return max(NOISE_SPREAD, math.sqrt((8.0 if problem.noise.sensor else 3.0) / max(readings, 1)))
 
 
 # Multiplicity ---------------------------------------------------------------------------------------------------------
@@ -190,13 +208,15 @@ def _overlap(a: Place, b: Place) -> bool:
     return "low_hz" in a and a["low_hz"] < b["high_hz"] and b["low_hz"] < a["high_hz"]
 
 
-def _exceeds(sum_of_squares: Array, count: Array) -> Array:
-    """p-value of a sum of squares of `count` standard normals, the noise variance known to NOISE_SPREAD."""
+def _exceeds(sum_of_squares: Array, count: Array, spread: float = NOISE_SPREAD) -> Array:
+    """p-value of a sum of squares of `count` standard normals, their variance known to `spread`: Fisher's F."""
     count = np.maximum(np.asarray(count, float), 1e-9)
-    # Moments with the uncertain variance: mean n, variance 2 n + (spread n)^2; a gamma law of the same moments.
-    variance = 2.0 * count + (NOISE_SPREAD * count) ** 2
-    shape = count**2 / variance
-    return np.asarray(gammaincc(shape, np.asarray(sum_of_squares) * count / variance))
+    return np.asarray(fdtrc(count, 2.0 / spread**2, np.asarray(sum_of_squares) / count))
+
+
+def _strays(sums: Array, count: Array, spread: float) -> Array:
+    """p-value of the sum of `count` standard normals, their variance known to `spread`: Student's t."""
+    return np.asarray(2.0 * stdtr(2.0 / spread**2, -np.abs(sums) / np.sqrt(np.maximum(count, 1e-9))))
 
 
 # Looks ----------------------------------------------------------------------------------------------------------------
@@ -220,8 +240,8 @@ def _in_time(sets: Sequence[Repeats]) -> Iterator[Entry]:
                 squares = np.concatenate([[0.0], np.cumsum(r**2)])
                 counts = np.concatenate([[0.0], np.cumsum(w2)])
                 count = counts[starts + width] - counts[starts]
-                energy = _exceeds(squares[starts + width] - squares[starts], count)
-                mean = 2.0 * ndtr(-np.abs(sums[starts + width] - sums[starts]) / np.sqrt(np.maximum(count, 1e-9)))
+                energy = _exceeds(squares[starts + width] - squares[starts], count, s.spread)
+                mean = _strays(sums[starts + width] - sums[starts], count, s.spread)
                 for first, p, c in zip(starts, np.minimum(1.0, 2.0 * np.minimum(energy, mean)), count, strict=True):
                     if c < 0.5 * width:
                         continue
@@ -246,7 +266,7 @@ def _in_frequency(sets: Sequence[Repeats]) -> Iterator[Entry]:
             scale = 1.0 / max(float(np.sum(s.weight[channel] ** 2)), 1e-9)
             power = np.abs(np.fft.rfft(s.mean[channel])[1:-1]) ** 2 * scale
             together.setdefault((f.tobytes(), channel), []).append(power)
-            for low, high, p in _bands(f, power, 1):
+            for low, high, p in _bands(f, power, 1, s.spread):
                 place: Place = {
                     "low_hz": low, "high_hz": high, "case": s.case, "configuration": _words(s.coupled),
                     "channel": channel + 1,
@@ -254,17 +274,18 @@ def _in_frequency(sets: Sequence[Repeats]) -> Iterator[Entry]:
                 yield Entry(place, p)
     for (grid, channel), powers in together.items():
         if len(powers) > 1:
-            for low, high, p in _bands(np.frombuffer(grid), np.sum(powers, axis=0), len(powers)):
+            spread = max(s.spread for s in sets)
+            for low, high, p in _bands(np.frombuffer(grid), np.sum(powers, axis=0), len(powers), spread):
                 place = {"low_hz": low, "high_hz": high, "case": None, "configuration": None, "channel": channel + 1}
                 yield Entry(place, p)
 
 
-def _bands(f: Array, power: Array, records: int) -> Iterator[tuple[float, float, float]]:
+def _bands(f: Array, power: Array, records: int, spread: float) -> Iterator[tuple[float, float, float]]:
     spacing = float(f[1] - f[0])
     for width in BANDS:
         m = f.size // width
         total = power[: m * width].reshape(m, width).sum(axis=1)
-        p = _exceeds(2.0 * total, np.full(m, 2.0 * width * records))
+        p = _exceeds(2.0 * total, np.full(m, 2.0 * width * records), spread)
         for k in range(m):
             yield float(f[k * width] - 0.5 * spacing), float(f[k * width + width - 1] + 0.5 * spacing), float(p[k])
 
@@ -281,9 +302,11 @@ def _low_energy(s: Repeats, channel: int) -> tuple[float, float]:
 
 def _low_excess(places: Iterable[tuple[Repeats, int]]) -> tuple[float, float]:
     """Energy below 100 Hz in channels of some repeats, over that of noise less 1, and its p-value under noise."""
+    places = list(places)
     pairs = [_low_energy(s, channel) for s, channel in places]
     energy, count = sum(p[0] for p in pairs), sum(p[1] for p in pairs)
-    return energy / max(count, 1.0) - 1.0, float(_exceeds(np.array(energy), np.array(count)))
+    spread = max(s.spread for s, _ in places)
+    return energy / max(count, 1.0) - 1.0, float(_exceeds(np.array(energy), np.array(count), spread))
 
 
 def _in_channels(sets: Sequence[Repeats]) -> Iterator[Entry]:
@@ -324,8 +347,8 @@ def _in_phase_space(sets: Sequence[Repeats], moved: Sequence[Motion]) -> Iterato
                 sums += np.bincount(cells, s.mean[channel], CELLS * CELLS)
                 count += np.bincount(cells, s.weight[channel] ** 2, CELLS * CELLS)
             used = count > 5.0
-            p_mean = 2.0 * ndtr(-np.abs(sums) / np.sqrt(np.maximum(count, 1e-9)))
-            p = np.minimum(1.0, 2.0 * np.minimum(_exceeds(energy, count), p_mean))
+            spread = max(s.spread for s in sets)
+            p = np.minimum(1.0, 2.0 * np.minimum(_exceeds(energy, count, spread), _strays(sums, count, spread)))
             for cell in np.flatnonzero(used):
                 row, column = divmod(int(cell), CELLS)
                 ranges = [

@@ -1,11 +1,12 @@
 """Where residuals exceed the noise: an event is found in time, looks are paid for, places are named."""
 
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from small_rig import knock, measured, variant
+from small_rig import NOISE, knock, measured, variant
 
 from bayes_damper.calibration import calibrate_nominal
 from bayes_damper.diagnosis.response import motions
@@ -115,3 +116,29 @@ def test_a_long_record_is_searched_in_little_memory() -> None:
         assert tracemalloc.get_traced_memory()[1] < 200e6  # 14 000 readings against hundreds of instants
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.slow
+def test_without_repeats_power_is_measured_against_the_noise_of_the_sensors():
+    """There the noise of a fit holds the model's own error: a gap had power -0.85 above it, with p = 1."""
+    found = {}
+    for size in (0.0, 0.6):
+        lone = measured(8, effect=variant("quadratic_drag"), values={"coefficient": size}, repeats=1)
+        fit = calibrate_nominal(lone)
+        found[size] = locate(fit, events=False).to_json()["channel"]["1"]
+        left = np.concatenate([r[0] for r in fit.residuals().values()])
+        assert bool(fit.problem.noise.sensor) == (size > 0.0)
+    assert found[0.0]["p_value"] > 0.05
+    assert found[0.6]["p_value"] < 1e-3
+    assert found[0.6]["excess_over_noise"] > 0.5 * ((left.std() / NOISE) ** 2 - 1.0)
+
+
+def test_noise_that_few_readings_show_gives_even_p_values():
+    """The variance of the noise, by which residuals are divided, is off by as much as `spread` says."""
+    rng, spread, p = np.random.default_rng(5), 0.2, []
+    for _ in range(300):
+        found = repeats(rng, sets=1, n=300)[0]
+        off = np.sqrt(rng.chisquare(2.0 / spread**2) / (2.0 / spread**2))
+        p += [e.p_value for e in _in_channels([replace(found, mean=found.mean / off, spread=spread)])]
+    assert 0.4 < np.mean(p) < 0.6
+    assert 0.05 < np.mean(np.array(p) < 0.1) < 0.15

@@ -379,8 +379,14 @@ def _kind_of(data: DiagnosisFile) -> str:
 
 _POWER = "power above the noise"
 _EXCESS = (
-    "Power of the residuals above that of the noise, in units of the noise's: 0 is noise alone, 1 is twice as much."
+    "Power of the residuals above that of the sensors' noise, in units of it: 0 is noise alone, 1 is twice as much."
 )
+
+
+def _excess(row: PlaceEntry) -> str:
+    """The excess of a row, to hundredths or to three digits."""
+    excess = row["excess_over_noise"]
+    return f"{excess:+.2f}" if abs(excess) < 100.0 else f"{excess:+.0f}"
 
 
 def _where_sections(where: WhereRecords | WherePublished | None, kind: str) -> tuple[Section, ...]:
@@ -433,12 +439,9 @@ def _record_tables(where: WhereRecords, kind: str) -> list[Table]:
         for r in where.get("frequency") or ()
     ]
     tables += _table("In frequency", ("band [Hz]", "channel", "case", "configuration", "p value"), rows)
-    rows = [(_channel(r, kind), f"{r['excess_over_noise']:+.2f}", _p(r)) for r in (where.get("channel") or {}).values()]
+    rows = [(_channel(r, kind), _excess(r), _p(r)) for r in (where.get("channel") or {}).values()]
     tables += _table("By channel", ("channel", _POWER, "p value"), rows, _EXCESS)
-    rows = [
-        (*_cells(r, "case", "configuration"), f"{r['excess_over_noise']:+.2f}", _p(r))
-        for r in (where.get("case") or {}).values()
-    ]
+    rows = [(*_cells(r, "case", "configuration"), _excess(r), _p(r)) for r in (where.get("case") or {}).values()]
     tables += _table("By case", ("case", "configuration", _POWER, "p value"), rows, _EXCESS)
     return tables
 
@@ -456,7 +459,7 @@ def _phase_tables(where: WhereRecords, kind: str) -> list[Table]:
             f"{symbol} {_span(*reach)} {unit}".rstrip()
             for (symbol, unit), reach in zip(map(named, r["coordinates"]), r["range"], strict=True)
         ]
-        rows.append((both[0], both[1], _channel(r, kind), f"{r['excess_over_noise']:+.2f}", _p(r)))
+        rows.append((both[0], both[1], _channel(r, kind), _excess(r), _p(r)))
     letters = "x and v" if translational else "θ and ω"
     first, second = BODIES[kind]
     moves = f"{letters}: position and velocity, 1 of {first}, 2 of {second}. {_EXCESS}"
