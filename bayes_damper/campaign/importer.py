@@ -326,12 +326,13 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
         raise InputError(_gathered(faults))
     trials = _with_estimates(trials, head.rig)
     notes = [note for source in files.values() for note in source.notes if note not in head.caveats]
+    measurement = _with_declared_units(head.rig, head.measurement, unnamed)
     if "quantity" in table.get("measurement", {}) and not any(t.given for t in trials):
         unnamed = []
     notes = _gathered([*notes, *contradicted, *unnamed]) + _resting(trials, options) + _idle(trials)
     caveats = (*head.caveats, *(sentence_of(note, head.rig.kind) for note in notes))
     return Campaign(
-        head.name, head.rig, head.measurement, tuple(trials), head.description, head.source, caveats,
+        head.name, head.rig, measurement, tuple(trials), head.description, head.source, caveats,
         scatter=head.scatter,
     )  # fmt: skip
 
@@ -479,6 +480,7 @@ def _trial_from(
         times,
         channels,
         holdout=option.get("holdout", False),
+        cut="start" in option or "end" in option,
         **acting,
     )
 
@@ -713,6 +715,15 @@ def _other_units(source: LoggerFile, places: Sequence[int], given: Sequence[str]
         for place, unit in zip(places, given, strict=False)
         if (named := source.unit(place)) not in (None, unit) and str(named).lower() not in COUNTED
     ]
+
+
+def _with_declared_units(rig: Rig, measurement: Measurement, unnamed: Sequence[str]) -> Measurement:
+    """The measurement, its units declared where no trial's are `unnamed` and `check` would ask whether they are others.
+
+    Angles that start free are compared with no release, so only their size speaks.
+    """
+    asked = rig.kind == "torsional" and measurement.start == "free"
+    return replace(measurement, units="declared") if asked and not unnamed else measurement
 
 
 def _stiffness(option: Mapping[str, Any]) -> Constant:

@@ -139,7 +139,7 @@ def load_plan(folder: str | Path) -> Campaign:
             channels = np.zeros((2 if row.configuration == "coupled" else 1, times.size))
             planned.append(
                 Trial(row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels,
-                      holdout=row.holdout)
+                      holdout=row.holdout, cut=row.cut)
             )  # fmt: skip
             continue
         trial = read_trial(folder, row, head, faults, digest)

@@ -33,6 +33,7 @@ _LIGHTEST = 0.1 * math.pi * 4000.0
 _FILTERED = 3.0
 """Bandwidth over the rig's frequency below which a filter of the first order takes 5 % of the motion."""
 _IN_DEGREES = " (`init --units deg` converts them)"
+_IN_RADIANS = '; if it is right, write units = "declared" under [measurement]'
 _FEWEST_LEFT = 16  # readings of a record that `every` leaves
 _COARSE = 0.5  # of a period, above which the steps of a record show no motion
 _FIRST = 5  # readings after a release, in which a motion that dies at once shows
@@ -283,16 +284,17 @@ def _check_free_magnitude(
         elif swing > odd:
             warnings.append(f"{where} m; if these are millimetres, give metres")
         return
+    known = head.measurement.units == "declared"
     y = trial.channels[0] - np.median(trial.channels[0])
     to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
     if swing > wrong:
         faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}")
-    elif swing > _TO_AND_FRO and to_and_fro:
+    elif swing > _TO_AND_FRO and to_and_fro and not known:
         warnings.append(
             f"{where} rad to and fro, more than half a turn; if these are degrees, give radians in the record"
             + _IN_DEGREES
+            + _IN_RADIANS
         )
     elif swing > odd and head.rig.restoring == "linear":
-        warnings.append(
-            f'{where} rad; if these are degrees, give radians{_IN_DEGREES}; if it hangs, set restoring = "pendulum"'
-        )
+        degrees = "" if known else f" if these are degrees, give radians{_IN_DEGREES}{_IN_RADIANS};"
+        warnings.append(f'{where} rad;{degrees} if it hangs, set restoring = "pendulum"')

@@ -456,15 +456,17 @@ def _look_for_copies(trials: Sequence[Trial], warnings: list[str]) -> None:
 
 
 def _look_for_short_twin(group: Sequence[Trial], warnings: list[str]) -> None:
-    """Names repeats that end much earlier than the longest one."""
+    """Names repeats that end much earlier than the longest one, of those that were not cut on purpose."""
+    group = [t for t in group if not t.cut]
     group = [t for t in group if not t.holdout] or group  # stretches that were kept for a test may be shorter
     ends = [float(t.times[-1]) for t in group]
-    short = [f"{t.file} at {end:.4g} s" for t, end in zip(group, ends, strict=True) if end < _SHORT * max(ends)]
+    longest = max(ends, default=0.0)
+    short = [f"{t.file} at {end:.4g} s" for t, end in zip(group, ends, strict=True) if end < _SHORT * longest]
     if short:
         some = ", ".join(short[:SHOWN]) + (f" and {len(short) - SHOWN} more" if len(short) > SHOWN else "")
         warnings.append(
             f"case {group[0].case} {group[0].configuration}: repeats of different length: {some}, the longest at "
-            f"{max(ends):.4g} s; every record is used to its end, but how repeats scatter is seen only where two of "
+            f"{longest:.4g} s; every record is used to its end, but how repeats scatter is seen only where two of "
             "them last: was one cut off?"
         )
 

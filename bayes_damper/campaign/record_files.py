@@ -66,7 +66,7 @@ def read_trial(folder: Path, row: Row, head: Head, faults: list[str], digest: ha
     inputs = {known[names[i]]: x for i, x in zip(wanted[1 + n_channels :], columns[1 + n_channels :], strict=True)}
     trial = Trial(
         row.file, row.case, row.configuration, row.trial, row.k1t, row.theta0, times, channels, holdout=row.holdout,
-        **inputs,
+        cut=row.cut, **inputs,
     )  # fmt: skip
     for array in (times, channels, *inputs.values()):
         array.setflags(write=False)

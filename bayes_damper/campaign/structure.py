@@ -62,6 +62,7 @@ MEASUREMENT_WORDS = {
     "start": ("rest", "free"),
     "frame": ("absolute", "ground"),
     "input": ("linear", "held"),
+    "units": ("assumed", "declared"),
 }
 MEASUREMENT_NUMBERS = ("sample_rate", "duration", "noise_std", "sensor_range", "sensor_bandwidth", "every")
 SCATTER_RELATIVE = ("k1t", "k2t", "c1t", "c2t", "c3t", "mu", "drag", "drag_ratio", "gain", "gain1", "gain2")
@@ -146,6 +147,8 @@ class Measurement:
     """Where the ground moves: whether readings count from space, or from the ground."""
     input: str = "linear"
     """What measured inputs do between samples: "linear", or "held" until the next."""
+    units: str = "assumed"
+    """Whether the logger file or who imported it named the unit: "declared" readings are in no other one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +159,7 @@ class Trial:
     k1t : N m/rad (N/m). Measured inputs, (n,) or None: torque and torque2 : N m (N) on primary and secondary;
     ground : rad (m), or ground_acceleration : rad/s^2 (m/s^2); motion : rad (m) of a primary whose motion is
     prescribed, or motion_acceleration : its acceleration. The first channel is then the reaction, N m (N). pivot :
-    m/s^2, sideways acceleration of a pendulum's pivot.
+    m/s^2, sideways acceleration of a pendulum's pivot. cut : whether the record has its length on purpose.
     """
 
     file: str
@@ -169,6 +172,7 @@ class Trial:
     channels: Array
     torque: Array | None = None
     holdout: bool = False
+    cut: bool = False
     torque2: Array | None = None
     ground: Array | None = None
     ground_acceleration: Array | None = None

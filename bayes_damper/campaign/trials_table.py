@@ -16,6 +16,7 @@ from bayes_damper.inputs import collected, csv_rows, number_in, real, shown
 _MOST_FAULTS = 100  # of trials.csv: whoever has more has one cause
 _TURN = 360.0  # degrees of a release, at most
 LEAST_STD = 0.1  # of a release, deg (mm), where none is declared
+_MARKS = ("holdout", "cut")
 _COUNTED = 2**53  # above it doubles skip whole numbers, so that two trials may have one
 
 
@@ -30,6 +31,7 @@ class Row:
     k1t: Constant
     theta0: Constant | None
     holdout: bool
+    cut: bool
     line: int
 
 
@@ -89,7 +91,7 @@ def read_rows(folder: Path, kind: str, start: str, faults: list[str], digest: ha
 def _check_header(header: list[str], kind: str, start: str, name: str, faults: list[str]) -> bool:
     k1t, k1t_std, theta0, theta0_std = TRIAL_COLUMNS[kind]
     needed = ["file", "case", "configuration", k1t, "trial", *([theta0] if start == "rest" else [])]
-    valid = (*dict.fromkeys([*needed, k1t_std, theta0, theta0_std, "holdout"]),)
+    valid = (*dict.fromkeys([*needed, k1t_std, theta0, theta0_std, *_MARKS]),)
     if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
         faults.append(f"{name}: columns are not separated by commas; save it with commas and decimal points")
         return False
@@ -133,9 +135,10 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
     theta0 = _theta0_from(cells, theta0_name, theta0_std_name, kind, start, where, faults)
     if k1t_std is not None and k1t_std < 0.0:
         faults.append(f"{where}: {k1t_std_name} = {k1t_std!r} is negative; give a standard uncertainty of 0 or more")
-    mark = cells.get("holdout", "").lower()
-    if mark not in ("", "true", "false", "0", "1"):
-        faults.append(f"{where}: holdout '{mark}' is not true or false; write one of them")
+    marks = {key: cells.get(key, "").lower() for key in _MARKS}
+    for key, mark in marks.items():
+        if mark not in ("", "true", "false", "0", "1"):
+            faults.append(f"{where}: {key} '{mark}' is not true or false; write one of them")
     if len(faults) > before or number is None or k1t is None or k1t_std is None:
         return None
     return Row(
@@ -145,8 +148,8 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
         int(number),
         Constant(k1t, k1t_std),
         theta0,
-        mark in ("true", "1"),
-        0,
+        line=0,
+        **{key: mark in ("true", "1") for key, mark in marks.items()},
     )
 
 

@@ -40,6 +40,7 @@ COMMENTS = {
     "start": "rest: released at rest from theta0; free: initial angles and velocities are inferred",
     "frame": "frame of the readings if the ground moves: absolute, or ground",
     "input": "measured inputs between samples: linear, or held until the next",
+    "units": "declared: the unit of the readings is known, check does not ask whether they are degrees; or assumed",
     "sample_rate": "nominal, Hz; the time column decides",
     "duration": "length of a planned record, s",
     "noise_std": "expected standard deviation of the noise, one per channel",
@@ -102,9 +103,11 @@ def campaign_toml(campaign: Campaign) -> str:
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
             lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
     lines += ["", "[measurement]"]
-    for key in ("quantity", "start", "frame", "input", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
+    needless = {"units"} if campaign.measurement.units == "assumed" else set()
+    needless |= set() if any(t.given for t in campaign.trials) else {"frame", "input"}
+    for key in ("quantity", "start", "units", "frame", "input", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
-        if value is not None and not (key in ("frame", "input") and not any(t.given for t in campaign.trials)):
+        if value is not None and key not in needless:
             lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
     if campaign.scatter:
         kind = campaign.rig.kind
@@ -137,12 +140,12 @@ def trials_csv(campaign: Campaign) -> str:
     kind = campaign.rig.kind
     k1t, k1t_std, theta0, theta0_std = TRIAL_COLUMNS[kind]
     uncertain = any(t.k1t.uncertain for t in campaign.trials)
-    marked = any(t.holdout for t in campaign.trials)
+    marks = [key for key in ("holdout", "cut") if any(getattr(t, key) for t in campaign.trials)]
     rest = campaign.measurement.start == "rest"
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     names = ["file", "case", "configuration", k1t, *([k1t_std] if uncertain else [])]
-    names += [*([theta0, theta0_std] if rest else []), "trial", *(["holdout"] if marked else [])]
+    names += [*([theta0, theta0_std] if rest else []), "trial", *marks]
     writer.writerow(names)
     for t in campaign.trials:
         cells: list[Any] = [
@@ -154,7 +157,7 @@ def trials_csv(campaign: Campaign) -> str:
         ]
         if rest and t.theta0 is not None:
             cells += [_declared(t.theta0.value, TO_SI[kind]), _declared(t.theta0.std, TO_SI[kind])]
-        cells += [t.trial, *([str(t.holdout).lower()] if marked else [])]
+        cells += [t.trial, *(str(getattr(t, key)).lower() for key in marks)]
         writer.writerow(cells)
     return out.getvalue()
 

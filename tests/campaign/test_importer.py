@@ -1183,3 +1183,43 @@ def test_named_pipes_beside_a_campaign_do_not_hang_an_import(tmp_path: Path) -> 
     (folder / "trials.csv").unlink()
     os.mkfifo(folder / "trials.csv")
     assert records_in(folder) == ()
+
+
+def _turning_far(folder: Path, column: str, lengths: tuple[float, float], **reader: object) -> tuple[str, ...]:
+    """Remarks on two stretches of a disk that turns by 4.7 rad about its rest, in a column of that name."""
+    times = np.arange(0.0, 40.0, 0.05)
+    y = 4.7 * np.exp(-0.02 * times) * np.cos(3.0 * times) + 1e-3 * np.random.default_rng(1).standard_normal(times.size)
+    folder.mkdir()
+    rows = (f"{t:.2f},{v:.6f}" for t, v in zip(times, y, strict=True))
+    (folder / "disk.csv").write_text("\n".join([f"t,{column}", *rows]) + "\n")
+    ends = [{"end": lengths[0]}, {"start": 20.0, "end": 20.0 + lengths[1]}] if lengths else [{}]
+    trial = {"source": "disk.csv", "columns": [2], "case": "A", "configuration": "uncoupled", "k1t": 9.0}
+    table = {
+        "name": "disk", "rig": {"primary_inertia": 1.0},
+        "measurement": {"start": "free", "quantity": "displacement"}, "reader": {"time": "t", **reader},
+        "trials": [trial | end for end in ends],
+    }  # fmt: skip
+    return load_campaign(import_records(table, folder / "out", folder)).warnings
+
+
+def test_a_swing_of_more_than_half_a_turn_is_not_doubted_where_its_unit_was_declared(tmp_path: Path) -> None:
+    def doubts(name: str, *given: object, **reader: object) -> bool:
+        return any("degrees" in w for w in _turning_far(tmp_path / name, *given, **reader))
+
+    assert doubts("nowhere", "angle", ())
+    assert not doubts("file", "angle (rad)", ())
+    assert not doubts("user", "angle", (), units=["rad"])
+    text = (tmp_path / "nowhere" / "out" / "campaign.toml").read_text()
+    (tmp_path / "nowhere" / "out" / "campaign.toml").write_text(
+        text.replace('start = "free"', 'units = "declared"\nstart = "free"')
+    )
+    assert not any("degrees" in w for w in load_campaign(tmp_path / "nowhere" / "out").warnings)
+    with pytest.raises(InputError, match="degrees taken for radians"):
+        _turning_far(tmp_path / "impossible", "angle (rad)", (), units=["rad"], scale=[57.3])
+
+
+def test_stretches_that_the_table_cuts_are_not_taken_for_records_that_were_cut_off(tmp_path: Path) -> None:
+    assert not any("cut off" in w for w in _turning_far(tmp_path / "table", "angle (rad)", (19.0, 9.0)))
+    trials = tmp_path / "table" / "out" / "trials.csv"
+    trials.write_text(trials.read_text().replace("true", "false"))
+    assert any("cut off" in w for w in load_campaign(trials.parent).warnings)
