@@ -17,6 +17,7 @@ EVEN = 1e-3  # of the usual step, up to which a clock is even
 GAP, DOUBLE = 2.5, 1.5  # usual steps from one reading to the next: above them several are missing, or one
 OFF_GRID, FEW_DOUBLE = 0.2, 3  # rms of steps from whole multiples of one; double steps that stamps do not explain
 MARKS = (3, 3.0)  # equal readings that stand for missing ones, and times all others that they are
+OFF_A_STEP = 0.15  # of a step of rounding, by which a difference may miss a multiple of it
 STOPPED = 8  # equal readings of a sensor that never repeats itself otherwise
 FILLED_RUNS, FILLED = 8, 0.4  # runs of readings that were put in, and the least share of the steps that they hold
 STANDS_OUT, EQUAL = 12.0, 3  # noises by which a top stands out, and equal readings that make it flat
@@ -65,20 +66,42 @@ def _divided_differences(times: Array, readings: Array, order: int) -> Array:
     return np.asarray(np.sum(weights * readings[window], axis=1) / np.sqrt(np.sum(weights**2, axis=1)))
 
 
-def resolution_of(readings: Array) -> float:
+def resolution_of(readings: Array, distinct: float = 0.5) -> float:
     """Step in which one channel is quantised, 0 where no common step shows.
 
-    A step shows when values recur (fewer than half of them are distinct) and all of them lie on its multiples.
+    A step shows when values recur (no more than that share of them are distinct) and all of them lie on its multiples,
+    as far as the digits say with which they were written: one of a degree is 0.017 or 0.018 rad.
     """
     values = np.unique(readings)
-    if len(values) < 3 or len(values) > 0.5 * len(readings):
+    if len(values) < 3 or len(values) > distinct * len(readings):
         return 0.0
     steps = np.diff(values)
-    span = values[-1] - values[0]
-    step = float(np.median(np.sort(steps[steps > 1e-9 * span])[: max(1, len(steps) // 10)]))
+    steps = np.sort(steps[steps > 1e-9 * (values[-1] - values[0])])
+    least = steps[: max(1, len(steps) // 10)]
+    rough = float(np.median(least))
+    sharp = _step_behind_digits(steps, rough)
+    # A fine step has multiples near whatever there is: the least differences must be one of it.
+    tried = [rough, sharp] if np.all(np.abs(least / sharp - 1.0) < OFF_A_STEP) else [rough]
+    step = min(tried, key=lambda each: float(np.mean(_off_multiples(each, steps))))
+    return step if np.mean(_off_multiples(step, steps) < OFF_A_STEP) > 0.8 else 0.0
+
+
+def _off_multiples(step: float, steps: Array) -> Array:
+    """How far differences are from multiples of a step, in steps."""
     multiples = steps / step
-    close = np.abs(multiples - np.round(multiples)) < 0.15
-    return step if np.mean(close) > 0.8 else 0.0
+    return np.asarray(np.abs(multiples - np.round(multiples)))
+
+
+def _step_behind_digits(steps: Array, step: float) -> float:
+    """The step of which sorted differences are multiples but for the rounding of their digits; step : about that.
+
+    The more steps a difference spans, the more exactly it gives one of them: each time those of twice as many.
+    """
+    for reach in 1.5 * 2.0 ** np.arange(1 + math.ceil(math.log2(max(steps[-1] / step, 1.0)))):
+        some = steps[steps < reach * step]
+        count = np.round(some / step)
+        step = float(count @ some) / float(count @ count) if count.any() else step
+    return step
 
 
 def wrap_of(readings: Array) -> tuple[float, float] | None:

@@ -558,3 +558,22 @@ def test_a_slow_swing_at_the_end_of_a_record_is_no_offset():
         until = times <= 1.0 - shift
         assert look.offset_of(times[until], y[until], noise, 58.0) == 0.0
     assert look.offset_of(times, y + 20.0, noise, 58.0) == pytest.approx(20.0, abs=3.0)
+
+
+@pytest.mark.parametrize("digits", [3, 4, 9])
+@pytest.mark.parametrize("count", [150, 300, 2000])
+def test_an_encoder_is_quantised_in_however_many_digits_it_was_written(digits, count):
+    """Steps of one degree are 0.017 or 0.018 rad; of 150 readings two in three are values of their own."""
+    y = np.round(np.degrees(swing(np.linspace(0.0, 20.0, count), 2.5))) * math.pi / 180.0
+    found = look.resolution_of(np.round(y, digits) - 0.1234567, distinct=0.9)
+    assert found == pytest.approx(math.pi / 180.0, rel=4e-3)
+
+
+def test_what_lies_on_no_steps_is_not_called_quantised():
+    rng = np.random.default_rng(3)
+    for count in (60, 150, 1000):
+        y = swing(np.linspace(0.0, 20.0, count), 2.5)
+        assert look.resolution_of(y, distinct=1.0) == 0.0
+        coarse = np.where(np.abs(y) < 0.5, np.round(y / 6.1e-5) * 6.1e-5, np.round(y, 3))  # two ranges of one sensor
+        some = np.concatenate([coarse, coarse[rng.integers(0, count, 2 * count)]])
+        assert look.resolution_of(some) == 0.0 or look.resolution_of(some) == pytest.approx(6.1e-5, rel=0.01)
