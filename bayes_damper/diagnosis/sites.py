@@ -231,7 +231,7 @@ def site_map(
     place = _torque_site(probabilities, silent) if torque else None
     left = 0.0 if place is None else share_left(whole)
     if place is not None and left <= LARGEST_LEFT:
-        missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place])
+        missing = _torque(fit, moved, scale, judged[leaders[place].only], leaders[place], left)
     # The fit that was given: one in slices holds its derivatives.
     return SiteMap(evidence, probabilities, leaders, missing, whole, scale, strength, place, left)
 
@@ -508,15 +508,19 @@ def _coefficients(judged: Projected, hypothesis: Hypothesis) -> tuple[Array, Arr
 
 
 def _torque(
-    fit: Calibration, moved: Sequence[Motion], scale: Scale, judged: Projected, leader: Hypothesis
+    fit: Calibration, moved: Sequence[Motion], scale: Scale, judged: Projected, leader: Hypothesis, left: float = 0.0
 ) -> tuple[MissingTorque, ...]:
     """Posterior mean and standard deviation of the torque that the leading shapes make.
 
-    Less what the site's nominal laws took over of it in the fit: what they lack with their fitted parameters.
+    Less what the site's nominal laws took over of it in the fit: what they lack with their fitted parameters. The
+    standard deviation has the shapes' coefficients, those parameters with the shapes as they are, and what linear
+    responses err by: a share of the torque that grows with what is `left` of the records, up to all of it at
+    `LARGEST_LEFT`.
     """
     which = leader.columns
     laws = LAWS.get(leader.site, set())
     theirs = np.array([[c.parameter in laws] for c in fit.problem.coordinates])
+    spread = np.where(theirs & theirs.T, np.nan_to_num(fit.covariance), 0.0)
     mean, root = _coefficients(judged, leader)
     coupled = any(m.group.coupled for m in moved)
     out = []
@@ -524,7 +528,9 @@ def _torque(
         named = {c: shape for c, shape in enumerate(shapes_of(m, scale, coupled)) if c in which}
         own = [named[c] for c in which]
         zero = np.zeros_like(m.th1)
-        taken = np.einsum("jqbn,qk->jkbn", nominal_slopes(fit, block, m), theirs * judged.absorbed[:, which])
+        slopes = nominal_slopes(fit, block, m)
+        taken = np.einsum("jqbn,qk->jkbn", slopes, theirs * judged.absorbed[:, which])
+        fitted = np.einsum("jqbn,qp,jpbn->jbn", slopes, spread, slopes, optimize=True)
         for k, trial in enumerate(m.group.trials):
             torque, sd = np.zeros((2, m.grid.size)), np.zeros((2, m.grid.size))
             of = fit.problem.experiment.trials[trial]
@@ -535,7 +541,9 @@ def _torque(
                     for q in ((shape.q1 if inertia == 0 else shape.q2) for shape in own)
                 ])  # fmt: skip
                 torque[inertia] = mean @ features
-                sd[inertia] = np.sqrt(np.sum((root.T @ features) ** 2, axis=0))
+                size = np.maximum(np.abs(torque[inertia]), math.sqrt(float(np.mean(torque[inertia] ** 2))))
+                variance = np.sum((root.T @ features) ** 2, axis=0) + np.maximum(fitted[k, inertia], 0.0)
+                sd[inertia] = np.sqrt(variance + (left / LARGEST_LEFT * size) ** 2)
             # Repeats share a grid of times: none of this trial's own readings lies beyond its last.
             read = np.flatnonzero(np.any(m.group.weight[k] > 0.0, axis=0))
             own_times = slice(0, int(read[-1]) + 1 if read.size else 0)

@@ -199,6 +199,35 @@ def test_missing_torque_is_what_the_fitted_laws_lack(interface):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("k3", "rig"),
+    [(20.0, {"cases": (("I", 0, 0.1),), "configurations": (False,)}), (60.0, {})],
+    ids=["one body", "two bodies"],
+)
+def test_the_band_of_the_missing_torque_holds_what_the_fitted_spring_lacks(k3, rig):
+    """A cubic spring is missing, of which the fitted stiffness and damping have taken over a part.
+
+    Against all of the cubic torque the band would be off by 20 to 400 standard deviations: that is another question.
+    """
+    experiment = measured(1, effect=variant("spring_cubic"), values={"k3": k3}, **rig)
+    experiment = replace(experiment, stiffnesses=tuple((k, 0.2 * k) for k, _ in experiment.stiffnesses))
+    fit = calibrate_nominal(experiment)
+    found, fitted = site_map(fit), {name: value for name, (value, _) in fit.parameters.items()}
+    assert found.torque_site == "ground1"
+
+    def lacking(m):
+        k = experiment.stiffnesses[experiment.trials[m.trial].k1t][0]
+        return -k3 * m.th1**3 - (k - fitted[f"k1t[{k:g}]"]) * m.th1 - (RIG["c1t"] - fitted["c1t"]) * m.w1
+
+    true, told, sd = (
+        np.concatenate(x) for x in zip(*((lacking(m), m.torque[0], m.sd[0]) for m in found.torque), strict=True)
+    )
+    assert np.mean(np.abs(told - true) < 1.645 * sd) > 0.9
+    assert np.corrcoef(told, true)[0, 1] > 0.9
+    assert np.sqrt(np.mean(sd**2)) < 0.7 * np.std(true)
+
+
+@pytest.mark.slow
 def test_no_torque_is_given_where_the_fit_is_too_far_off_for_linear_responses():
     """A coupling that hardens eight times as much: its torque would err by as much as it has."""
     fit = calibrate_nominal(measured(4, effect=CUBIC["effect"], values={"cubic": 1600.0}))

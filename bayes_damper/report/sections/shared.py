@@ -67,8 +67,9 @@ _MORE = {
     "missing_torque": (
         "The missing torque (force)",
         (
-            "What the nominal model would need to follow the records, against time, position and velocity, with a 90 % "
-            "band."
+            "What the nominal model, with its parameters as fitted, would need beside its laws to follow the records, "
+            "against time, position and velocity, with a 90 % band. What a fitted stiffness or damping has taken over "
+            "is not in it: of a missing cubic spring, the linear part."
         ),
     ),
     "variability_effective": (
