@@ -135,8 +135,8 @@ def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
         why = gap.get("why") if answer == "cannot tell" else None
         shown = f"does not decide{chance}: {why}" if why else f"does not show the gap{chance}"
         return (
-            f"The test of the held-out trials alone {shown}. The answer rests on all trials together. More repeats "
-            "would confirm or refute it."
+            f"The test of the held-out trials alone {shown}. The answer rests on all trials together. More trials "
+            "under the same conditions would confirm or refute it."
         )
     return ""
 

@@ -155,11 +155,7 @@ def measure_gap(
     elif nominal_rms > FAR * floor:
         answer = "cannot tell"
         repeated = any(_repeats_of(experiment, i, nominal.problem.trials) for i in heldout)
-        why = f"held-out residuals are {two_digits(nominal_rms / floor)} times the sensor noise, but " + (
-            "other than the training trials predict: the trials differ by what the model does not allow for"
-            if repeated
-            else "no trial that was fitted repeats them, and they do not clearly follow what an answer predicts"
-        )
+        why = _undecided(nominal_rms, augmented, floor, p_value, repeated)
     else:
         answer = "cannot tell"
         why = (
@@ -167,6 +163,31 @@ def measure_gap(
             "could hide in them: add trials"
         )
     return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why)
+
+
+def _undecided(nominal: float, augmented: float | None, noise: float, p_value: float, repeated: bool) -> str:
+    """Why held-out residuals far beyond the noise do not show that a law is missing.
+
+    nominal, augmented, noise : rms of what the nominal model and an answer leave of them, and of the sensors' noise.
+    """
+    wrong = (
+        f"held-out residuals are {two_digits(nominal / noise)} times the sensor noise, so the nominal model is wrong"
+    )
+    if repeated:
+        return (
+            f"{wrong} there, but other than the training trials predict: the trials differ by what the model does not "
+            "allow for"
+        )
+    alone = f"{wrong} there, by a law or by what only these trials have; no trial that was fitted repeats them"
+    if augmented is None:
+        return f"{alone}, and there is no candidate whose prediction could be compared with them"
+    if augmented >= nominal:
+        return f"{alone}, and the best candidate comes no closer to them"
+    often = "nearly always" if p_value > 0.95 else f"in up to {100.0 * p_value:.0f} of 100 cases"
+    return (
+        f"{alone}. The best candidate leaves {two_digits(augmented / noise)} times the noise, but residuals that "
+        f"change as slowly as these follow a candidate as closely by chance {often}"
+    )
 
 
 def closing(

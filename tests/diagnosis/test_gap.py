@@ -1,5 +1,6 @@
 """The gap on held-out trials: a test of its stated size, with power, and honest shares of what is closed."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nom
 from bayes_damper.diagnosis.gap import (
     _by_trials,
     _length,
+    _undecided,
     correlation,
     held_out_test,
     left_out_case,
@@ -156,6 +158,24 @@ def test_held_out_trials_that_differ_far_beyond_the_noise_are_not_said_to_show_n
     other = tuple(replace(t, case=t.case + " held out") if t.heldout else t for t in odd)
     alone = measure_gap(replace(fit, problem=fit.problem.changed(experiment=replace(e, trials=other))))
     assert "no trial that was fitted repeats them" in alone.why
+
+
+@pytest.mark.parametrize(
+    ("augmented", "p", "repeated", "said"),
+    [
+        (None, 1.0, False, "there is no candidate whose prediction could be compared"),
+        (25.0, 0.3, False, "the best candidate comes no closer to them"),
+        (7.6, 0.44, False, "leaves 7.6 times the noise, but .* as closely by chance in up to 44 of 100 cases"),
+        (7.6, 1.0, False, "as closely by chance nearly always"),
+        (7.6, 0.44, True, "other than the training trials predict"),
+    ],
+)
+def test_why_residuals_far_beyond_the_noise_show_no_law_is_said_in_words(augmented, p, repeated, said):
+    """Of three stretches of one decay: 21 times the noise, of which a candidate closes 87 %, and p = 0.44."""
+    why = _undecided(21.0, augmented, 1.0, p, repeated)
+    assert why.startswith("held-out residuals are 21 times the sensor noise, so the nominal model is wrong there")
+    assert re.search(said, why)
+    assert ("no trial that was fitted repeats them" in why) == (not repeated)
 
 
 def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():

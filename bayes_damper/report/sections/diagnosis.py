@@ -280,7 +280,7 @@ def _gap_sentence(gap: GapEntry | None) -> str:
     return {
         "gap": f"The rig and the model differ by more than the noise{chance}.",
         "none": f"The rig and the model differ by no more than the noise{chance}.",
-        "cannot tell": f"These data do not decide whether the rig and the model differ{chance}.",
+        "cannot tell": f"The held-out trials do not decide whether the model lacks a law{chance}.",
     }.get(str(answer), "")
 
 
