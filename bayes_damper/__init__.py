@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bayes_damper.campaign import load_campaign as load_campaign
-    from bayes_damper.campaign.importer import import_records as import_records
-    from bayes_damper.campaign.importer import init_campaign as init_campaign
+    from bayes_damper.campaign.importing.importer import import_records as import_records
+    from bayes_damper.campaign.importing.importer import init_campaign as init_campaign
     from bayes_damper.commands.check import check as check
     from bayes_damper.commands.compare import compare as compare
     from bayes_damper.commands.demo import demo as demo
@@ -44,8 +44,8 @@ _PLACES = {
     "diagnose_fleet": "commands.fleet",
     "examples": "commands.examples",
     "fit": "fit",
-    "import_records": "campaign.importer",
-    "init_campaign": "campaign.importer",
+    "import_records": "campaign.importing.importer",
+    "init_campaign": "campaign.importing.importer",
     "load_campaign": "campaign",
     "load_fit": "fit",
     "load_published": "published.measurements",

@@ -143,8 +143,8 @@ _QUESTIONS = (
 
 
 def _init(args: Arguments) -> Any:
-    from bayes_damper.campaign.import_options import columns_of
-    from bayes_damper.campaign.importer import left_over, records_in
+    from bayes_damper.campaign.importing.guesses import columns_of
+    from bayes_damper.campaign.importing.importer import left_over, records_in
 
     before = records_in(args.folder)
     given = {key: value for key, value in vars(args).items() if key in args.options and value is not None}
@@ -307,18 +307,18 @@ class _OneOrEach(_Once):
 def _init_options(sub: argparse.ArgumentParser) -> list[str]:
     """An option for every key of the import's tables, and of [rig] and [measurement], in groups; their names."""
     from bayes_damper import campaign
-    from bayes_damper.campaign import import_options as tables
+    from bayes_damper.campaign.importing import options as tables
 
     left_out = {"source", "sha256", "file", "trial", "holdout"}
     groups = {"files and trials": tables.INIT | tables.TRIAL, "reading the files": tables.READER}
     names = []
     for title, table in groups.items():
         group = sub.add_argument_group(title)
-        for key, (types, text) in table.items():
+        for key, known in table.items():
             if key in left_out:
                 continue
             names.append(key)
-            flag, about = f"--{key.replace('_', '-')}", text.replace("%", "%%")
+            flag, about, types = f"--{key.replace('_', '-')}", known.meaning.replace("%", "%%"), known.types
             if bool in types:
                 group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=about)
             elif types == (list,):
@@ -328,12 +328,12 @@ def _init_options(sub: argparse.ArgumentParser) -> list[str]:
             else:
                 kind = str if types == (str,) else _number
                 group.add_argument(flag, type=kind, metavar="X", help=about)
-    known = {
+    others = {
         "the rig": campaign.Rig.__dataclass_fields__, "the measurement": tables.MEASUREMENT,
         "about the campaign": {"name": "name (default: that of the folder)", "description": "description, a sentence",
                                "source_text": "where the data come from, licence"},
     }  # fmt: skip
-    for title, keys in known.items():
+    for title, keys in others.items():
         group = sub.add_argument_group(title)
         for key in keys:
             names.append(key)

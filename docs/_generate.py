@@ -159,10 +159,10 @@ def effects() -> str:
 
 def reader() -> str:
     """The keys of an import table."""
-    from bayes_damper.campaign.import_options import READER, TRIAL
+    from bayes_damper.campaign.importing.options import READER, TRIAL
 
     rows = ["| key | meaning |", "| --- | --- |"]
-    rows += [f"| `{key}` | {_cell(text)} |" for table in (TRIAL, READER) for key, (_, text) in table.items()]
+    rows += [f"| `{key}` | {_cell(known.meaning)} |" for table in (TRIAL, READER) for key, known in table.items()]
     return "\n".join(rows)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from campaigns import decay, write_synthetic, write_table
 from scipy.io import savemat
 
-from bayes_damper.campaign.importer import import_records, init_campaign
+from bayes_damper.campaign.importing.importer import import_records, init_campaign
 from bayes_damper.cli import _parser, main
 from bayes_damper.commands import resume
 from bayes_damper.commands.check import check

@@ -21,7 +21,7 @@ from bayes_damper.campaign.structure import (
     record_columns,
     record_text,
 )
-from bayes_damper.campaign.writing import COMMENTS, campaign_toml, quoted, trials_csv, write_campaign
+from bayes_damper.campaign.writing import COMMENTS, campaign_toml, toml_value, trials_csv, write_campaign
 
 __all__ = [
     "COLUMNS",
@@ -40,9 +40,9 @@ __all__ = [
     "load_plan",
     "natural_period",
     "noise_floor",
-    "quoted",
     "record_columns",
     "record_text",
+    "toml_value",
     "trials_csv",
     "write_campaign",
 ]

@@ -85,14 +85,14 @@ def write_campaign(folder: str | Path, campaign: Campaign, overwrite: bool = Fal
 
 def campaign_toml(campaign: Campaign) -> str:
     """campaign.toml as text, each key with what it means."""
-    lines = [f"name = {quoted(campaign.name)}"]
+    lines = [f"name = {_quoted(campaign.name)}"]
     for key in ("description", "source"):
         if getattr(campaign, key):
-            lines.append(f"{key} = {quoted(getattr(campaign, key))}")
+            lines.append(f"{key} = {_quoted(getattr(campaign, key))}")
     if campaign.caveats:
         lines += [
             "caveats = [  # warnings that `check` lists and later commands count",
-            *(f"    {quoted(c)}," for c in campaign.caveats),
+            *(f"    {_quoted(c)}," for c in campaign.caveats),
             "]",
         ]
     lines += ["", "[rig]"]
@@ -101,14 +101,14 @@ def campaign_toml(campaign: Campaign) -> str:
         if key == "inertial_coupling_law" and not campaign.rig.inertial_coupling.value:
             continue
         if value is not None and not (key == "bar_radius" and campaign.rig.kind == "translational"):
-            lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
+            lines.append(f"{key} = {toml_value(value)}  # {_comment(key, campaign.rig.kind)}")
     lines += ["", "[measurement]"]
     needless = {"units"} if campaign.measurement.units == "assumed" else set()
     needless |= set() if any(t.given for t in campaign.trials) else {"frame", "input"}
     for key in ("quantity", "start", "units", "frame", "input", *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS):
         value = getattr(campaign.measurement, key)
         if value is not None and key not in needless:
-            lines.append(f"{key} = {_toml(value)}  # {_comment(key, campaign.rig.kind)}")
+            lines.append(f"{key} = {toml_value(value)}  # {_comment(key, campaign.rig.kind)}")
     if campaign.scatter:
         kind = campaign.rig.kind
         lines += ["", "[scatter]"]
@@ -119,7 +119,7 @@ def campaign_toml(campaign: Campaign) -> str:
     return "\n".join(lines) + "\n"
 
 
-def quoted(text: str) -> str:
+def _quoted(text: str) -> str:
     """A TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     for mark, name in (("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t")):
@@ -127,12 +127,17 @@ def quoted(text: str) -> str:
     return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in escaped) + '"'
 
 
-def _toml(value: Constant | str | float | tuple[float, ...]) -> str:
+def toml_value(value: object) -> str:
+    """A value as TOML: a constant that is uncertain as a table, a sequence as an array."""
     if isinstance(value, Constant):
-        return f"{{ value = {value.value!r}, std = {value.std!r} }}" if value.uncertain else repr(value.value)
-    if isinstance(value, tuple):
-        return "[" + ", ".join(map(repr, value)) + "]"
-    return quoted(value) if isinstance(value, str) else repr(value)
+        return toml_value({"value": value.value, "std": value.std} if value.uncertain else value.value)
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {toml_value(part)}" for key, part in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return _quoted(value) if isinstance(value, str) else repr(value)
 
 
 def trials_csv(campaign: Campaign) -> str:

@@ -17,7 +17,7 @@ from bayes_damper.calibration import Experiment, experiment_of, middle
 from bayes_damper.calibration.experiment import longest_step
 from bayes_damper.calibration.unknowns import NOMINAL
 from bayes_damper.campaign import INPUT_COLUMNS, Constant, Measurement, Trial, load_plan, record_text
-from bayes_damper.campaign.logger_files import read_file
+from bayes_damper.campaign.importing.logger_files import read_file
 from bayes_damper.campaign.structure import INPUTS
 from bayes_damper.diagnosis.search import offered
 from bayes_damper.effects import Effect, all_effects
@@ -271,7 +271,7 @@ def _driven(path: Path, coupled: bool, kind: str) -> Trial:
     columns = ("time_s", *INPUT_COLUMNS[kind])
     _, torque2, ground, ground_a, motion, motion_a, _ = INPUT_COLUMNS[kind]
     torque = columns[1]
-    file = read_file(path, {"header": True})
+    file = read_file(path)
     unknown = [name for name in file.names if name not in columns]
     if unknown or "time_s" not in file.names or len(file.names) < 2:
         found = ", ".join(file.names) or "none"

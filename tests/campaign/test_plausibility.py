@@ -11,7 +11,7 @@ import pytest
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign import readings as look
-from bayes_damper.campaign.importer import init_campaign
+from bayes_damper.campaign.importing.importer import init_campaign
 from bayes_damper.campaign.plausibility import _look_at_clock
 from bayes_damper.campaign.structure import noise_floor
 from bayes_damper.errors import InputError

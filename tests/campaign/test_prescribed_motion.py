@@ -14,7 +14,7 @@ from bayes_damper.calibration.forecast import forecast, summary
 from bayes_damper.calibration.nominal import calibrate_nominal
 from bayes_damper.calibration.scatter import TYPICAL
 from bayes_damper.campaign import load_campaign, write_campaign
-from bayes_damper.campaign.importer import init_campaign
+from bayes_damper.campaign.importing.importer import init_campaign
 from bayes_damper.commands.plan import judge
 from bayes_damper.diagnosis import diagnose
 from bayes_damper.effects import EFFECTS

@@ -22,7 +22,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.forecast import forecast
 from bayes_damper.campaign import load_campaign
-from bayes_damper.campaign.importer import import_records
+from bayes_damper.campaign.importing.importer import import_records
 from bayes_damper.cli import main
 from bayes_damper.diagnosis.gap import measure_gap
 from bayes_damper.diagnosis.search import offered

@@ -15,7 +15,7 @@ import rig_peers
 
 from bayes_damper.calibration import experiment_of
 from bayes_damper.campaign import load_campaign
-from bayes_damper.campaign.importer import import_records
+from bayes_damper.campaign.importing.importer import import_records
 from bayes_damper.commands.diagnose import diagnose
 from bayes_damper.priors.files import campaign_priors
 

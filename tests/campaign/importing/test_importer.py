@@ -8,6 +8,7 @@ import math
 import os
 import re
 import tomllib
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,16 +18,20 @@ import pytest
 from campaigns import decay
 from scipy.io import savemat
 
-from bayes_damper.campaign import load_campaign, logger_files
-from bayes_damper.campaign.importer import _middle, convert, import_records, init_campaign, records_in
-from bayes_damper.campaign.logger_files import LoggerFile, read_file
+from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign.importing import logger_files
+from bayes_damper.campaign.importing.importer import import_records, init_campaign, records_in
+from bayes_damper.campaign.importing.logger_columns import LoggerFile
+from bayes_damper.campaign.importing.logger_files import read_file
+from bayes_damper.campaign.importing.options import ReaderOptions
+from bayes_damper.campaign.importing.units import _middle, convert
 from bayes_damper.campaign.readings import find_first_peak, find_release
 from bayes_damper.cli import main
 from bayes_damper.commands.check import check
 from bayes_damper.errors import InputError
 from bayes_damper.priors.files import campaign_priors
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 RAW = Path(os.environ.get("BAYES_DAMPER_REALDATA", ROOT.parent / "shared" / "realdata"))
 TIMES = np.arange(-200, 1200) / 1000.0
 OPTIONS = {
@@ -959,7 +964,7 @@ def test_readings_of_a_json_file_become_columns(tmp_path: Path) -> None:
     ]
     path = tmp_path / "log.json"
     path.write_text(json.dumps({"mass": 0.49, "entries": rows}), encoding="utf-8")
-    found = read_file(path, {})
+    found = read_file(path)
     assert found.names == ("time", "angle", "on")
     np.testing.assert_array_equal(found.table[:, 1], wave())
 
@@ -977,16 +982,16 @@ def test_a_json_file_without_readings_is_refused(tmp_path: Path, text: str, told
     path = tmp_path / "log.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=told):
-        read_file(path, {})
+        read_file(path)
 
 
 def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
     path = tmp_path / "log.mat"
     savemat(path, {"th": {"time": TIMES[:, None], "signals": {"values": wave()[:, None]}}})
-    option = {"matlab_time": ["th.time"], "matlab_data": ["th.signals.values"]}
+    option = ReaderOptions(matlab_time=("th.time",), matlab_data=("th.signals.values",))
     np.testing.assert_array_equal(read_file(path, option).table, np.stack([TIMES, wave()], axis=1))
     with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds th\.time \(1400 x 1\), th\.sig"):
-        read_file(path, option | {"matlab_data": ["th.signal"]})
+        read_file(path, replace(option, matlab_data=("th.signal",)))
 
 
 @pytest.mark.parametrize(
@@ -1006,7 +1011,7 @@ def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str
     content = {"t": TIMES[:, None], "th": {"a": wave()}, "few": np.arange(5), "words": "Run 1", "square": np.eye(3)}
     savemat(path, content)
     with pytest.raises(InputError, match=sentence):
-        read_file(path, option)
+        read_file(path, ReaderOptions.of(option))
 
 
 @pytest.mark.parametrize("word", ["zeit", "Zeit_MS", "messung.ziet_ms", "zeitms", "messung.t.zeit"])
@@ -1015,9 +1020,9 @@ def test_an_array_that_is_misspelt_or_abbreviated_is_found(tmp_path: Path, word:
     savemat(path, {"messung": {"weg_mm": wave(), "zeit_ms": TIMES}, "rate": 100.0})
     listed = r"it holds messung\.weg_mm \(1 x 1400\), messung\.zeit_ms \(1 x 1400\)"
     with pytest.raises(InputError, match=rf"no variable '{word}'; {listed}: did you mean 'messung\.zeit_ms'\?"):
-        read_file(path, {"matlab_time": [word]})
+        read_file(path, ReaderOptions(matlab_time=(word,)))
     with pytest.raises(InputError, match="columns without names; give its number from 1"):
-        read_file(path, {"matlab_data": ["messung.weg_mm"]}).index(word, "log.mat")
+        read_file(path, ReaderOptions(matlab_data=("messung.weg_mm",))).index(word, "log.mat")
     with pytest.raises(InputError, match=r"did you mean 'messung\.zeit_ms'"):
         LoggerFile(("messung.weg_mm", "messung.zeit_ms"), np.zeros((9, 2))).index(word, "log.csv")
 
@@ -1026,12 +1031,13 @@ def test_a_matlab_file_may_hold_each_channel_in_an_array_of_its_own(tmp_path: Pa
     path = tmp_path / "log.mat"
     savemat(path, {"daq": {"t": TIMES, "enc1": wave(), "enc2": 0.3 * wave(), "both": np.stack([wave(), wave()])}})
     read = partial(read_file, path)
-    table = read({"matlab_time": ["daq.t"], "matlab_data": ["daq.enc1", "daq.enc2"]}).table
+    table = read(ReaderOptions(matlab_time=("daq.t",), matlab_data=("daq.enc1", "daq.enc2"))).table
     np.testing.assert_array_equal(table, np.column_stack([TIMES, wave(), 0.3 * wave()]))
-    assert read({"matlab_time": ["daq.t"], "matlab_data": ["daq.enc1", "daq.both"]}).table.shape == (TIMES.size, 4)
-    twice = read({"matlab_time": ["daq.t", "daq.t"], "matlab_data": ["daq.enc1", "daq.enc2"]}).table
+    more = read(ReaderOptions(matlab_time=("daq.t",), matlab_data=("daq.enc1", "daq.both"))).table
+    assert more.shape == (TIMES.size, 4)
+    twice = read(ReaderOptions(matlab_time=("daq.t", "daq.t"), matlab_data=("daq.enc1", "daq.enc2"))).table
     assert twice.shape == (2 * TIMES.size, 2)
-    assert read({"matlab_data": ["daq.enc1", "daq.enc2"]}).table.shape == (2 * TIMES.size, 1)
+    assert read(ReaderOptions(matlab_data=("daq.enc1", "daq.enc2"))).table.shape == (2 * TIMES.size, 1)
 
 
 @pytest.mark.parametrize("place", [176, 177])
@@ -1043,7 +1049,7 @@ def test_a_matlab_file_that_crashes_its_reader_is_refused(tmp_path: Path, place:
     raw[place] = 0xFF
     path.write_bytes(raw)
     with pytest.raises(InputError, match=r"log\.mat: not a MATLAB file that can be read .*; copy it again, or save it"):
-        read_file(path, {"matlab_data": ["t"]})
+        read_file(path, ReaderOptions(matlab_data=("t",)))
 
 
 def test_a_small_matlab_file_has_less_time_and_memory_to_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1051,7 +1057,7 @@ def test_a_small_matlab_file_has_less_time_and_memory_to_be_read(monkeypatch: py
     given: list[dict[str, float]] = []
     monkeypatch.setattr(logger_files, "apart", lambda _, __, **most: given.append(most) or {"t": TIMES[:, None]})
     for size in (1000, 1_000_000):
-        logger_files.read_matlab(bytes(size), "log.mat", {"matlab_data": ["t"]})
+        logger_files._read_matlab(bytes(size), "log.mat", ReaderOptions(matlab_data=("t",)))
     assert [most["seconds"] for most in given] == pytest.approx([15.0, 15.2], abs=0.01)
     assert [most["memory"] for most in given] == pytest.approx([5e8, 5.2e8], rel=1e-3)
 
@@ -1077,7 +1083,7 @@ def test_names_stand_above_units_of_pixels_with_none_for_the_frame(tmp_path: Pat
     path = tmp_path / "clip.txt"
     rows = "".join(f"{i}\t{i / 60:.4f}\t{600 + i}\t{500 - i}\n" for i in range(40))
     path.write_text("# Tracker export\nframe\tt\tx\ty\n\ts\tpx\tpx\n" + rows, encoding="utf-8")
-    found = read_file(path, {})
+    found = read_file(path)
     assert found.names == ("frame", "t", "x", "y")
     assert found.units == ("", "s", "px", "px")
 
@@ -1163,7 +1169,7 @@ def test_a_column_is_found_by_what_its_name_begins_with(tmp_path: Path) -> None:
     rows = np.column_stack([np.arange(50) / 100.0, np.cos(np.arange(50)), np.sin(np.arange(50))])
     head = "Time (s) Run #1,Position (m) Run #1,Positioner (m) Run #1"
     np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.6f")
-    found = read_file(path, {})
+    found = read_file(path)
     assert (found.index("Position", "here"), found.index("time", "here")) == (1, 0)
     with pytest.raises(InputError, match="here"):
         found.index("Posi", "here")

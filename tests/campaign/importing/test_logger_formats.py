@@ -14,8 +14,9 @@ from campaigns import decay
 from scipy.io import wavfile
 
 from bayes_damper.campaign import load_campaign
-from bayes_damper.campaign.importer import init_campaign
-from bayes_damper.campaign.logger_files import read_file
+from bayes_damper.campaign.importing.importer import init_campaign
+from bayes_damper.campaign.importing.logger_files import read_file
+from bayes_damper.campaign.importing.options import ReaderOptions
 from bayes_damper.errors import InputError
 
 pytestmark = pytest.mark.filterwarnings("ignore:unclosed file:ResourceWarning")  # pyuff writes so
@@ -44,7 +45,7 @@ def test_a_reading_that_is_no_number_in_an_odd_way_is_a_missing_one(tmp_path: Pa
         file["time"] = np.concatenate([TIMES, odd])
         file["a"] = np.concatenate([FIRST, odd])
         file["time"].attrs["unit"] = "ms"
-    found = read_file(tmp_path / "odd.h5", {})
+    found = read_file(tmp_path / "odd.h5")
     assert np.isnan(found.table[-1]).all()
     assert not found.table[-1].tobytes().startswith(odd.tobytes())
 
@@ -96,7 +97,7 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 def test_a_record_comes_back_with_its_clock_names_and_units(tmp_path: Path, name: str) -> None:
-    found = read_file(FILES[name](tmp_path / name), {})
+    found = read_file(FILES[name](tmp_path / name))
     assert found.names[0] == "time"
     np.testing.assert_allclose(found.table[:, 0], TIMES, atol=1e-6)
     np.testing.assert_allclose(found.table[:, 1], FIRST, atol=1e-4)
@@ -122,7 +123,7 @@ def test_one_command_makes_a_campaign(tmp_path: Path, name: str) -> None:
 def fault_of(path: Path) -> str:
     """The sentence in which reading ends; nothing where what is left of a file is one."""
     try:
-        assert read_file(path, {}).table.ndim == 2
+        assert read_file(path).table.ndim == 2
     except InputError as error:
         return str(error)
     return ""
@@ -166,7 +167,7 @@ def test_what_is_there_before_a_file_is_read_is_not_gone_through(tmp_path: Path)
     before = len(gc.get_objects())
     gc.callbacks.append(look)
     try:
-        read_file(path, {})
+        read_file(path)
     finally:
         gc.callbacks.remove(look)
     assert seen
@@ -190,13 +191,13 @@ def test_a_package_that_is_not_there_is_named_with_the_command(
 
     monkeypatch.setattr(importlib, "import_module", absent)
     with pytest.raises(InputError, match=rf"needs {package}: pip install 'bayes-damper\[readers\]'"):
-        read_file(path, {})
+        read_file(path)
 
 
 def test_a_group_chooses_among_clocks(tmp_path: Path) -> None:
-    assert read_file(tdms(tmp_path / "a.tdms"), {"group": "slow"}).table.shape == (5, 2)
+    assert read_file(tdms(tmp_path / "a.tdms"), ReaderOptions(group="slow")).table.shape == (5, 2)
     with pytest.raises(InputError, match="it holds alpha1, alpha2, slow"):
-        read_file(tmp_path / "a.tdms", {"group": "fast"})
+        read_file(tmp_path / "a.tdms", ReaderOptions(group="fast"))
 
 
 def test_matlab_7_3_is_read_as_the_hdf5_that_it_is(tmp_path: Path) -> None:
@@ -206,7 +207,7 @@ def test_matlab_7_3_is_read_as_the_hdf5_that_it_is(tmp_path: Path) -> None:
     raw = bytearray(path.read_bytes())
     raw[:19] = b"MATLAB 7.3 MAT-file"
     path.write_bytes(bytes(raw))
-    found = read_file(path, {})
+    found = read_file(path)
     np.testing.assert_array_equal(found.table[:, found.index("alpha1", "a.mat")], FIRST)
     np.testing.assert_array_equal(found.table[:, found.time_column()], TIMES)
 
