@@ -32,7 +32,7 @@ _MOST_APART = 1e6  # a ratio of inertias, or of springs, beyond which one of the
 _LARGEST_RADIUS = 10.0  # m, of a rig in a laboratory
 _MOST_UNKNOWN = 20
 _TOP = ("name", "description", "source", "caveats", "rig", "measurement", "scatter")
-_TABLES = {"rig": (*RIG_NUMBERS, *RIG_WORDS),
+_TABLES = {"rig": (*RIG_WORDS, *RIG_NUMBERS),
            "measurement": (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS),
            "scatter": (*SCATTER_RELATIVE, *SCATTER_SIZES)}  # fmt: skip
 
@@ -103,6 +103,12 @@ def _few(table: Mapping[str, Any], valid: Sequence[str], where: str, faults: lis
     return [key for key in table if key not in left]
 
 
+def _name_unknown(table: Mapping[str, Any], valid: Sequence[str], where: str, faults: list[str]) -> None:
+    """A fault for each key that is not valid."""
+    unknown = [key for key in _few(table, valid, where, faults) if key not in valid]
+    faults += [f"{where}: unknown key '{key}'; {nearest_name(key, valid)}" for key in unknown]
+
+
 def _text(table: Mapping[str, Any], key: str, name: str, faults: list[str]) -> str:
     value = table.get(key, "")
     if not isinstance(value, str) or (key == "name" and key in table and not value.strip()):
@@ -138,9 +144,7 @@ def _read_words(
 
 def _read_rig(table: Mapping[str, Any], name: str, faults: list[str]) -> Rig:
     where = f"{name} [rig]"
-    for key in _few(table, (*RIG_WORDS, *RIG_NUMBERS), where, faults):
-        if key not in (*RIG_WORDS, *RIG_NUMBERS):
-            faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, (*RIG_WORDS, *RIG_NUMBERS))}")
+    _name_unknown(table, _TABLES["rig"], where, faults)
     words = _read_words(table, RIG_WORDS, where, faults)
     numbers = {
         key: constant
@@ -194,10 +198,7 @@ def _check_constant(key: str, constant: Constant, kind: str, where: str, faults:
 
 def _read_measurement(table: Mapping[str, Any], name: str, faults: list[str]) -> Measurement:
     where = f"{name} [measurement]"
-    valid = (*MEASUREMENT_WORDS, *MEASUREMENT_NUMBERS, *MEASUREMENT_SPREADS)
-    for key in _few(table, valid, where, faults):
-        if key not in valid:
-            faults.append(f"{where}: unknown key '{key}'; {nearest_name(key, valid)}")
+    _name_unknown(table, _TABLES["measurement"], where, faults)
     words = _read_words(table, MEASUREMENT_WORDS, where, faults)
     tuples = {k: _positives(table[k], f"{where}: {k}", faults) for k in MEASUREMENT_NUMBERS if k in table}
     tuples |= {k: _positives(table[k], f"{where}: {k}", faults, zero=True) for k in MEASUREMENT_SPREADS if k in table}
