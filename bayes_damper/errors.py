@@ -25,6 +25,12 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+class UnitFault(str):
+    """A sentence on readings of a size that they cannot have: they may be in another unit than they were taken for."""
+
+    __slots__ = ()
+
+
 class BayesDamperError(Exception):
     """Base of all errors that are meant for the user's eyes."""
 
@@ -46,7 +52,7 @@ def _readable(sentence: str) -> str:
     """A sentence for a terminal: what it quotes from a file may be long, or hold what steers the terminal."""
     if len(sentence) > _LONGEST:
         sentence = f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
-    return printable(sentence)
+    return type(sentence)(printable(sentence))
 
 
 def printable(text: str) -> str:

@@ -12,6 +12,7 @@ from bayes_damper.campaign.head import Head
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.campaign.structure import TO_SI, TRIAL_COLUMNS, Rig, Trial, channel_columns, natural_period
 from bayes_damper.campaign.trials_table import LEAST_STD
+from bayes_damper.errors import UnitFault
 from bayes_damper.text import counted
 
 _FEWEST = 4.0  # readings in a period of the primary, below which a motion is not seen
@@ -280,7 +281,8 @@ def _check_free_magnitude(
     odd, wrong = _SWINGS[head.rig.kind]
     if head.rig.kind == "translational":
         if swing > wrong:
-            faults.append(f"{where} m; it looks like millimetres taken for metres: give SI units in the record")
+            fault = f"{where} m; it looks like millimetres taken for metres: give SI units in the record"
+            faults.append(UnitFault(fault))
         elif swing > odd:
             warnings.append(f"{where} m; if these are millimetres, give metres")
         return
@@ -288,7 +290,8 @@ def _check_free_magnitude(
     y = trial.channels[0] - np.median(trial.channels[0])
     to_and_fro = int(np.count_nonzero(np.diff(np.sign(y)) != 0)) >= 4
     if swing > wrong:
-        faults.append(f"{where} rad; it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}")
+        fault = f"{where} rad; it looks like degrees taken for radians: give radians in the record{_IN_DEGREES}"
+        faults.append(UnitFault(fault))
     elif swing > _TO_AND_FRO and to_and_fro and not known:
         warnings.append(
             f"{where} rad to and fro, more than half a turn; if these are degrees, give radians in the record"

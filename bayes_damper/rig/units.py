@@ -119,4 +119,4 @@ def spoken_of(kind: object) -> Iterator[None]:
     except InputError as error:
         if kind != "translational":
             raise
-        raise InputError([sentence_of(fault, str(kind)) for fault in error.faults]) from None
+        raise InputError([type(fault)(sentence_of(fault, str(kind))) for fault in error.faults]) from None

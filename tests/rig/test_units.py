@@ -10,7 +10,7 @@ import pytest
 from bayes_damper.campaign import load_plan
 from bayes_damper.commands.plan import judge
 from bayes_damper.effects import EFFECTS
-from bayes_damper.errors import InputError
+from bayes_damper.errors import InputError, UnitFault
 from bayes_damper.rig.parameters import PARAMETERS
 from bayes_damper.rig.units import effect_unit, in_words_of, sentence_of, spoken_of
 
@@ -100,3 +100,10 @@ def test_what_is_said_of_a_cart_leaves_names_of_files_and_columns_alone() -> Non
         raise InputError("the secondary rests")
     with pytest.raises(InputError, match=r"^the secondary rests$"), spoken_of(None):
         raise InputError("the secondary rests")
+
+
+def test_a_fault_stays_of_its_kind_in_the_words_of_a_rig() -> None:
+    with pytest.raises(InputError) as caught, spoken_of("translational"):
+        raise InputError([UnitFault("the secondary rests\x1b"), "the secondary rests"])
+    assert [type(fault) for fault in caught.value.faults] == [UnitFault, str]
+    assert caught.value.faults[0] == "body 2 rests\\x1b"

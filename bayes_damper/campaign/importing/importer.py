@@ -33,13 +33,12 @@ from bayes_damper.campaign.importing.logger_columns import LoggerFile
 from bayes_damper.campaign.importing.options import FROM_OPTIONS, TrialOptions, gathered, trials_of
 from bayes_damper.campaign.importing.table import NOTHING_RUBS, spec_from_options, spec_text
 from bayes_damper.campaign.trials_table import inside
-from bayes_damper.errors import InputError
+from bayes_damper.errors import InputError, UnitFault
 from bayes_damper.inputs import file_bytes, resolved, shown, text_of, toml_file
 from bayes_damper.rig.parameters import unit_of as unit_of_parameter
 from bayes_damper.rig.units import sentence_of, spoken_of
 
 _NAMED = 12  # files that a sentence names one by one
-_UNNAMED = "no unit is named"
 _PLURAL = {"displacement": "displacements", "velocity": "velocities", "acceleration": "accelerations"}
 _REST = 0.05  # share of a record; one that rests for longer began before the release
 _IDLE = (
@@ -143,7 +142,7 @@ def _write(
         raise InputError(f"{folder}: holds a campaign already; give another folder, or --overwrite to replace it")
     rig = table.get("rig")
     with spoken_of(rig.get("kind") if isinstance(rig, Mapping) else None):
-        built = _build(table, name, raw)
+        built, unnamed = _build(table, name, raw)
     with tempfile.TemporaryDirectory() as scratch:
         draft = campaigns.write_campaign(Path(scratch) / "campaign", built)
         text = (draft / "campaign.toml").read_text(encoding="utf-8")
@@ -154,9 +153,8 @@ def _write(
         try:
             campaigns.load_campaign(draft)
         except InputError as error:  # what is wrong with the readings may be what they were taken for
-            large = any("the readings imply" in fault for fault in error.faults)
-            taken = [caveat for caveat in built.caveats if large and _UNNAMED in caveat]
-            raise InputError([*error.faults, *taken]) from None
+            misread = any(isinstance(fault, UnitFault) for fault in error.faults)
+            raise InputError([*error.faults, *(unnamed if misread else ())]) from None
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copytree(draft, folder, dirs_exist_ok=True)
     return folder
@@ -172,8 +170,8 @@ def _spec_table(spec: str | Path | Mapping[str, Any]) -> tuple[Mapping[str, Any]
         raise InputError(f"{path}: cannot be read ({error.strerror}); give an import table") from None
 
 
-def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
-    """The campaign in memory, all conversions done."""
+def _build(table: Mapping[str, Any], name: str, raw: Path) -> tuple[Campaign, list[str]]:
+    """The campaign in memory, all conversions done, and those of its caveats that say where no unit is known."""
     faults: list[str] = []
     head_keys = {key: value for key, value in table.items() if key not in ("reader", "trials")}
     head = campaigns.head_from_table(head_keys, name, faults)
@@ -197,12 +195,14 @@ def _build(table: Mapping[str, Any], name: str, raw: Path) -> Campaign:
     measurement = _with_declared_units(head.rig, head.measurement, unnamed)
     if "quantity" in table.get("measurement", {}) and not any(t.given for t in trials):
         unnamed = []
-    notes = gathered([*notes, *contradicted, *unnamed]) + _resting(trials, options) + _idle(trials)
-    caveats = (*head.caveats, *(sentence_of(note, head.rig.kind) for note in notes))
-    return Campaign(
-        head.name, head.rig, measurement, tuple(trials), head.description, head.source, caveats,
-        scatter=head.scatter,
+    unnamed = [sentence_of(note, head.rig.kind) for note in gathered(unnamed)]
+    hints = [sentence_of(hint, head.rig.kind) for hint in (*_resting(trials, options), *_idle(trials))]
+    caveats = [sentence_of(note, head.rig.kind) for note in gathered([*notes, *contradicted])]
+    campaign = Campaign(
+        head.name, head.rig, measurement, tuple(trials), head.description, head.source,
+        (*head.caveats, *caveats, *unnamed, *hints), scatter=head.scatter,
     )  # fmt: skip
+    return campaign, unnamed
 
 
 def _trial_from(
@@ -226,7 +226,7 @@ def _trial_from(
         slow = "positions" if rig.kind == "translational" else "angles"
         give = f"for {slow} or speeds give --quantity, and" if measurement.quantity == "acceleration" else "give"
         unnamed.append(
-            f"{where}: {_UNNAMED}, so the readings were taken as {_PLURAL[measurement.quantity]} in "
+            f"{where}: no unit is named, so the readings were taken as {_PLURAL[measurement.quantity]} in "
             f"{unit_of_parameter('sigma1', rig.kind, measurement.quantity)}; {give} --units where they are not in SI."
         )
     if option.units is None:
