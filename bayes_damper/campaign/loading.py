@@ -17,7 +17,7 @@ from bayes_damper.campaign.head import Head, check_rig, per_channel, read_head
 from bayes_damper.campaign.magnitudes import check_declared, check_magnitudes
 from bayes_damper.campaign.plausibility import look_at_rates, look_at_repeats, look_at_trial, look_for_exchanged_trials
 from bayes_damper.campaign.record_files import read_trial
-from bayes_damper.campaign.structure import Campaign, Measurement, Trial
+from bayes_damper.campaign.structure import MEASUREMENT_SPREADS, Campaign, Measurement, Trial
 from bayes_damper.campaign.trials_table import Row, read_rows
 from bayes_damper.errors import InputError
 from bayes_damper.rig.units import sentence_of, spoken_of
@@ -69,25 +69,18 @@ def _loaded(folder: Path, head: Head, rows: Sequence[Row], faults: list[str], di
             faults.append("none of the records is there: `bayes-damper plan` judges a campaign before it is measured")
         raise InputError(faults)
     LOG.info("read %s: %d trials, %d readings", folder, len(trials), sum(t.channels.size for t in trials))
-    fitted = {t.case for t in trials if not t.holdout}
-    if held := dict.fromkeys(t.case for t in trials if t.case not in fitted):
+    both, declared = any(t.coupled for t in trials), head.measurement
+    spreads = {key: per_channel(getattr(declared, key), both) for key in ("noise_std", *MEASUREMENT_SPREADS)}
+    campaign = _campaign(folder, head, replace(declared, **spreads), trials, (), digest)  # type: ignore[arg-type]
+    if held := [case for case in campaign.cases if case not in campaign.fitted_cases]:
         warnings.append(f"trials.csv: every trial of case {', '.join(held)} is marked holdout: `fit` leaves it out")
     look_at_declarations(head, known, warnings)
     look_at_starts(head, trials, warnings)
     look_at_repeats(head, trials, warnings)
     look_at_rates(head, trials, of_records)
-    both = any(t.coupled for t in trials)
-    declared = head.measurement
-    measurement = replace(
-        declared,
-        noise_std=per_channel(declared.noise_std, both),
-        offset_std=per_channel(declared.offset_std, both),
-        scale_std=per_channel(declared.scale_std, both),
-        lag_std=per_channel(declared.lag_std, both),
-    )
     # What was written down wrongly first, then what the records show, then what the import assumed.
     said = [sentence_of(warning, head.rig.kind) for warning in (*warnings, *of_records)]
-    return _campaign(folder, head, measurement, trials, (*said, *head.caveats), digest)
+    return replace(campaign, warnings=(*said, *head.caveats))
 
 
 def _check_reactions(trials: Sequence[Trial], faults: list[str]) -> None:
