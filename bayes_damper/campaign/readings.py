@@ -15,6 +15,7 @@ Array = NDArray[np.float64]
 _MAD_TO_SD = 1.482602218505602
 EVEN = 1e-3  # of the usual step, up to which a clock is even
 GAP, DOUBLE = 2.5, 1.5  # usual steps from one reading to the next: above them several are missing, or one
+LONG_GAP = 8.0  # the same: above it a line through the gap is a motion that nobody measured
 OFF_GRID, FEW_DOUBLE = 0.2, 3  # rms of steps from whole multiples of one; double steps that stamps do not explain
 MARKS = (3, 3.0)  # equal readings that stand for missing ones, and times all others that they are
 OFF_A_STEP = 0.15  # of a step of rounding, by which a difference may miss a multiple of it
@@ -121,9 +122,13 @@ def wrap_of(readings: Array) -> tuple[float, float] | None:
 
 def gaps_of(times: Array) -> list[tuple[float, float]]:
     """The stretches (start, end), in seconds, where more than one sample is missing from an otherwise denser record."""
+    return [(float(times[i]), float(times[i + 1])) for i in _long_steps(times, GAP)]
+
+
+def _long_steps(times: Array, least: float) -> NDArray[np.intp]:
+    """Indices of the readings after which the next one comes later than `least` usual steps."""
     steps = np.diff(times)
-    where = np.flatnonzero(steps > GAP * np.median(steps))
-    return [(float(times[i]), float(times[i + 1])) for i in where]
+    return np.flatnonzero(steps > least * np.median(steps))
 
 
 def missing_of(times: Array) -> float:
@@ -406,9 +411,8 @@ def _without_long_gaps(times: Array, readings: Array) -> tuple[Array, Array]:
 
     A straight line through a long gap is no oscillation: it would be the strongest line of the spectrum.
     """
-    steps = np.diff(times)
-    gaps = np.flatnonzero(steps > 8.0 * float(np.median(steps)))
-    if float(np.sum(steps[gaps])) < 0.25 * float(times[-1] - times[0]):
+    gaps = _long_steps(times, LONG_GAP)
+    if float(np.sum(times[gaps + 1] - times[gaps])) < 0.25 * float(times[-1] - times[0]):
         return times, readings
     edges = [0, *(int(i) + 1 for i in gaps), len(times)]
     first, last = max(itertools.pairwise(edges), key=lambda ends: ends[1] - ends[0])
