@@ -219,14 +219,24 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
         faults.append(f"{trial.file}: released from 0 without a torque, nothing can move; correct theta0 in trials.csv")
         return
     largest = float(np.quantile(np.abs(readings), 1.0 - min(0.002, 2.0 / len(centred)))) if not power else largest
+    _check_released_magnitude(head, trial, largest, names[0], faults, warnings)
+
+
+def _check_released_magnitude(
+    head: Head, trial: Trial, largest: float, column: str, faults: list[str], warnings: list[str]
+) -> None:
+    """The largest reading must be what the declared release can give."""
+    omega = 2.0 * math.pi / natural_period(head.rig, trial)
+    power = DERIVATIVE[head.measurement.quantity]
     if power and head.measurement.start == "rest":  # a motion that dies at once looks like one reading that sticks out
         largest = max(largest, float(np.max(np.abs(trial.channels[0][:_FIRST]))))
-    bound = abs(trial.theta0.value) * omega**power
+    held = 0.0 if trial.theta0 is None else abs(trial.theta0.value)
+    bound = held * omega**power
     formula = {0: "theta0", 1: "theta0 sqrt(k1t/J1)", 2: "k1t theta0/J1"}[power]
     ratio = largest / bound
-    unit = names[0].partition("1_")[2].replace("_", "/").replace("s2", "s^2")
+    unit = column.partition("1_")[2].replace("_", "/").replace("s2", "s^2")
     sentence = (
-        f"{trial.file}, column '{names[0]}': the largest reading, {largest:.4g} {unit}, is {ratio:.3g} times "
+        f"{trial.file}, column '{column}': the largest reading, {largest:.4g} {unit}, is {ratio:.3g} times "
         f"{formula} = {bound:.4g} {unit}, the most that this release can give"
     )
     if _ODD[0] <= ratio <= _ODD[1]:
@@ -239,7 +249,7 @@ def check_magnitudes(head: Head, trial: Trial, faults: list[str], warnings: list
             "correct one of them, or the time column"
         )
     else:
-        guess = _unit_guess(head.rig, ratio, power, ratio * abs(trial.theta0.value))
+        guess = _unit_guess(head.rig, ratio, power, ratio * held)
     (faults if ratio > _WRONG[1] or ratio < _WRONG[0] else warnings).append(f"{sentence}; {guess}")
 
 

@@ -398,19 +398,7 @@ def _words(result: DiagnosisFile) -> list[str]:
         left = left_beside(result.get("budget"))
         lines = [f"{first}{'the' if left else 'its'} most likely place{said(left)}: {said(_place(site))}."]
     else:
-        row = next(r for r in result["effects"] if r["name"] == verdict)
-        sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
-        title = f"{row['title']} ({verdict}, at {row['site']})" if row.get("title") else f"{verdict} ({row['site']})"
-        lines = [f"{sure} {title}, probability {share:.2f}: {row['formula']}."]
-        lines += [f"  {row['meaning']}"] if row.get("meaning") else []
-        parameters: Mapping[str, Mapping[str, Estimate]] = {verdict: row["parameters"]}
-        if pair := result.get("pair"):
-            both, p = pair["effects"], pair["probability"]
-            lines.append(f"Alone it does not close the gap; {both[0]} and {both[1]} together do (probability {p:.2f}).")
-            parameters = pair["parameters"]
-        lines += [
-            f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
-        ]
+        lines = _effect_words(result, share)
     leads = begins_with_budget(verdict, held_out_of(gap))
     divided = said(budget_sentence(result.get("budget"), held_out_of(gap))) if leads else ""
     lines = [divided, *lines] if divided else lines
@@ -437,6 +425,24 @@ def _words(result: DiagnosisFile) -> list[str]:
             "Not distinguished by these data: " + "; ".join(" / ".join(g) for g in result["indistinguishable"])
         )
     return lines + [f"note: {said(note)}" for note in result.get("notes", [])]
+
+
+def _effect_words(result: DiagnosisFile, share: float) -> list[str]:
+    """The effect of the answer, or the pair, its formula and parameters."""
+    verdict = result["verdict"]
+    row = next(r for r in result["effects"] if r["name"] == verdict)
+    sure = "The missing effect is" if share >= CERTAIN else "Most probable, but not sure:"
+    title = f"{row['title']} ({verdict}, at {row['site']})" if row.get("title") else f"{verdict} ({row['site']})"
+    lines = [f"{sure} {title}, probability {share:.2f}: {row['formula']}."]
+    lines += [f"  {row['meaning']}"] if row.get("meaning") else []
+    parameters: Mapping[str, Mapping[str, Estimate]] = {verdict: row["parameters"]}
+    if pair := result.get("pair"):
+        both, p = pair["effects"], pair["probability"]
+        lines.append(f"Alone it does not close the gap; {both[0]} and {both[1]} together do (probability {p:.2f}).")
+        parameters = pair["parameters"]
+    return lines + [
+        f"  {effect}, {name} = {_estimated(p)}" for effect, those in parameters.items() for name, p in those.items()
+    ]
 
 
 def _ranked(probabilities: Mapping[str, float], named: Callable[[str], str], most: int) -> str:

@@ -225,15 +225,22 @@ def simulate_record(
     used |= {"rate": rate, "duration": duration} if inputs is None else {"inputs": str(inputs)}
     used |= {} if rig.experiment is None else {"campaign": str(campaign), "kind": rig.kind}
     used |= words | {name: values[name] for name in ROWS if name in values}
+    write_text(path.with_suffix(".toml"), _values_text(used, str(effect), variant, own, rig))
+    warnings = (*suspect, *([] if law is None else _beyond(law, run, times, coupled)), *_unseen(values, times))
+    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=warnings)
+
+
+def _values_text(
+    used: Mapping[str, object], effect: str, variant: Variant | None, own: Mapping[str, float], rig: _Rig
+) -> str:  # fmt: skip
+    """The values of a record as TOML, those of an effect in a table of their own."""
     lines = [f"{key} = {_toml(value)}{_comment(key, rig.kind)}" for key, value in used.items()]
     if variant is not None:
-        lines += ["", "[effect]", f'name = "{str(effect).partition("/")[0]}"', f'variant = "{variant.name}"']
+        lines += ["", "[effect]", f'name = "{effect.partition("/")[0]}"', f'variant = "{variant.name}"']
         lines += [
             f"{p.name} = {own[p.name]!r}  # {effect_unit(p.unit, rig.kind, rig.quantity)}" for p in variant.parameters
         ]
-    write_text(path.with_suffix(".toml"), "\n".join(lines) + "\n")
-    warnings = (*suspect, *([] if law is None else _beyond(law, run, times, coupled)), *_unseen(values, times))
-    return SimulatedRecord(path, used | ({"effect": own} if variant is not None else {}), warnings=warnings)
+    return "\n".join(lines) + "\n"
 
 
 def _unseen(values: Mapping[str, float], times: NDArray[np.float64]) -> Iterator[str]:

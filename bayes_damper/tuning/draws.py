@@ -211,28 +211,7 @@ def origin_of(
             f"{campaign.name}: tune knows no spring from the secondary to ground, no inertial coupling and no "
             "pendulum, but this rig has one of them; pass draws as arrays if it can be neglected"
         )
-    fields = {"J1": rig.primary_inertia, "J2": rig.secondary_inertia, "R": rig.bar_radius, "r": rig.magnet_radius,
-              "N0": rig.magnet_pull}  # fmt: skip
-    constants = {name: constant.value for name, constant in fields.items() if constant is not None}
-    if not rig.has_magnet:
-        constants = {"R": _NO_RADIUS, "r": _WITHOUT_LIMIT, "mu": 0.0, "N0": 0.0} | constants
-    if (plan.get("normal_force") or rig.normal_force) == "constant":
-        constants["r"] = _WITHOUT_LIMIT
-    constants |= known or {}
-    if "J2" not in constants:
-        raise InputError(
-            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing says how a second "
-            "body would be coupled; fit coupled trials, or pass draws as arrays"
-        )
-    springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
-    if "k1t" in constants:
-        pass
-    elif len(springs) == 1:
-        constants["k1t"] = next(iter(springs))
-    elif springs:
-        listed = ", ".join(f"{k:g}" for k in springs)
-        unit = unit_of("k1t", rig.kind)
-        raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
+    constants = _constants_of(campaign, plan.get("normal_force") or rig.normal_force, case, known or {})
     reached, held = _swings(campaign, case)
     return Origin(
         **about,
@@ -242,6 +221,30 @@ def origin_of(
         reach=max(reached, default=None),
         radius=rig.kind == "torsional" and (rig.has_magnet or constants["R"] != _NO_RADIUS),
     )
+
+
+def _constants_of(campaign: Campaign, law: str, case: str, known: Mapping[str, float]) -> dict[str, float]:
+    """The constants of a campaign's rig not inferred, those that are `known` as they are; law : of the pull."""
+    rig = campaign.rig
+    fields = {"J1": rig.primary_inertia, "J2": rig.secondary_inertia, "R": rig.bar_radius, "r": rig.magnet_radius,
+              "N0": rig.magnet_pull}  # fmt: skip
+    constants = {name: constant.value for name, constant in fields.items() if constant is not None}
+    if not rig.has_magnet:
+        constants = {"R": _NO_RADIUS, "r": _WITHOUT_LIMIT, "mu": 0.0, "N0": 0.0} | constants
+    if law == "constant":
+        constants["r"] = _WITHOUT_LIMIT
+    constants |= known
+    if "J2" not in constants:
+        raise InputError(
+            f"{campaign.name}: the rig has no secondary_inertia and no coupled trials, so nothing says how a second "
+            "body would be coupled; fit coupled trials, or pass draws as arrays"
+        )
+    springs = dict.fromkeys(t.k1t.value for t in campaign.trials if case in ("joint", t.case))
+    if "k1t" not in constants and len(springs) > 1:
+        listed = ", ".join(f"{k:g}" for k in springs)
+        unit = unit_of("k1t", rig.kind)
+        raise InputError(f"case {case!r} has several springs ({listed} {unit}): name one case, or give k1t in `rig`")
+    return ({"k1t": next(iter(springs))} if springs else {}) | constants
 
 
 def _missing(case: str, effect: str | None) -> str:
