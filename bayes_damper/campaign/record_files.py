@@ -285,16 +285,11 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
 
 
 _UNITS = {
-    "translational": {
-        "g taken for kg, or N/mm for N/m": 1e3,
-        "s taken for ms, or g for kg and N/mm for N/m": 1e6,
-    },
+    "translational": {"g taken for kg, or N/mm for N/m": 1e3, "s taken for ms, or g for kg and N/mm for N/m": 1e6},
     "torsional": {
-        "kg cm^2 taken for kg m^2": 1e4,
-        "s taken for ms, or kg mm^2 for kg m^2": 1e6,
-        "g cm^2 taken for kg m^2": 1e7,
+        "kg cm^2 taken for kg m^2": 1e4, "s taken for ms, or kg mm^2 for kg m^2": 1e6, "g cm^2 taken for kg m^2": 1e7,
     },
-}
+}  # fmt: skip
 """By how much k1t/J1 is too small for units that are mixed up."""
 
 

@@ -141,15 +141,9 @@ def _row_from(cells: Mapping[str, str], kind: str, start: str, where: str, fault
             faults.append(f"{where}: {key} '{mark}' is not true or false; write one of them")
     if len(faults) > before or number is None or k1t is None or k1t_std is None:
         return None
+    marked = {key: mark in ("true", "1") for key, mark in marks.items()}
     return Row(
-        cells["file"],
-        cells["case"],
-        configuration,
-        int(number),
-        Constant(k1t, k1t_std),
-        theta0,
-        line=0,
-        **{key: mark in ("true", "1") for key, mark in marks.items()},
+        cells["file"], cells["case"], configuration, int(number), Constant(k1t, k1t_std), theta0, line=0, **marked
     )
 
 

@@ -7,7 +7,6 @@ import gzip
 import io
 import re
 from pathlib import Path
-from typing import Any
 
 from bayes_damper.campaign.structure import (
     INPUTS,
@@ -90,11 +89,8 @@ def campaign_toml(campaign: Campaign) -> str:
         if getattr(campaign, key):
             lines.append(f"{key} = {_quoted(getattr(campaign, key))}")
     if campaign.caveats:
-        lines += [
-            "caveats = [  # warnings that `check` lists and later commands count",
-            *(f"    {_quoted(c)}," for c in campaign.caveats),
-            "]",
-        ]
+        lines.append("caveats = [  # warnings that `check` lists and later commands count")
+        lines += [*(f"    {_quoted(c)}," for c in campaign.caveats), "]"]
     lines += ["", "[rig]"]
     for key in ("kind", *RIG_NUMBERS, "normal_force", "restoring", "inertial_coupling_law"):
         value = getattr(campaign.rig, key)
@@ -153,16 +149,10 @@ def trials_csv(campaign: Campaign) -> str:
     names += [*([theta0, theta0_std] if rest else []), "trial", *marks]
     writer.writerow(names)
     for t in campaign.trials:
-        cells: list[Any] = [
-            t.file,
-            t.case,
-            t.configuration,
-            repr(t.k1t.value),
-            *([repr(t.k1t.std)] if uncertain else []),
-        ]
+        cells = [t.file, t.case, t.configuration, repr(t.k1t.value), *([repr(t.k1t.std)] if uncertain else [])]
         if rest and t.theta0 is not None:
             cells += [_declared(t.theta0.value, TO_SI[kind]), _declared(t.theta0.std, TO_SI[kind])]
-        cells += [t.trial, *(str(getattr(t, key)).lower() for key in marks)]
+        cells += [str(t.trial), *(str(getattr(t, key)).lower() for key in marks)]
         writer.writerow(cells)
     return out.getvalue()
 

@@ -23,7 +23,17 @@ from bayes_damper.errors import InputError
 from bayes_damper.inputs import check_matlab, file_bytes, json_of
 from bayes_damper.runs.parallel_map import apart
 
-Array = NDArray[np.float64]
+Arrays = Mapping[str, NDArray[Any]]  # of a MATLAB file
+_MATLAB_SECONDS = 15.0
+_MATLAB_SPEED = 5e6
+"""Bytes a second beyond these seconds in which a MATLAB file must be read, a tenth of what is usual: some small damaged
+ones would take for ever, and hundreds of megabytes of memory more each second.
+"""
+_MATLAB_MEMORY = 500_000_000
+_MATLAB_GROWTH = 20
+"""Bytes that reading may take beside so many for each of the file's, unpacked: a byte may stand for a number of eight,
+and what is sent is there twice.
+"""
 
 
 def read_file(path: Path, option: ReaderOptions = ReaderOptions(), sha256: str | None = None) -> LoggerFile:  # noqa: B008
@@ -90,18 +100,6 @@ def _read_json(raw: bytes, name: str, _: ReaderOptions) -> LoggerFile:
         raise InputError(f"{name}: a reading is no number ({error}); export it as CSV") from error
 
 
-_MATLAB_SECONDS = 15.0
-_MATLAB_SPEED = 5e6
-"""Bytes a second beyond these seconds in which a MATLAB file must be read, a tenth of what is usual: some small damaged
-ones would take for ever, and hundreds of megabytes of memory more each second.
-"""
-_MATLAB_MEMORY = 500_000_000
-_MATLAB_GROWTH = 20
-"""Bytes that reading may take beside so many for each of the file's, unpacked: a byte may stand for a number of eight,
-and what is sent is there twice.
-"""
-
-
 def _read_matlab(raw: bytes, name: str, option: ReaderOptions) -> LoggerFile:
     """Time in column 1 where matlab_time is given, then the channels.
 
@@ -113,12 +111,8 @@ def _read_matlab(raw: bytes, name: str, option: ReaderOptions) -> LoggerFile:
     try:
         size = check_matlab(raw)
         # Some damaged files end the process that reads them.
-        content = apart(
-            _loaded,
-            raw,
-            seconds=_MATLAB_SECONDS + len(raw) / _MATLAB_SPEED,
-            memory=_MATLAB_MEMORY + _MATLAB_GROWTH * size,
-        )
+        seconds, memory = _MATLAB_SECONDS + len(raw) / _MATLAB_SPEED, _MATLAB_MEMORY + _MATLAB_GROWTH * size
+        content = apart(_loaded, raw, seconds=seconds, memory=memory)
     except Exception as error:
         raise InputError(
             f"{name}: not a MATLAB file that can be read ({error}); copy it again, or save it as version 5 or 7"
@@ -156,16 +150,16 @@ def _read_matlab(raw: bytes, name: str, option: ReaderOptions) -> LoggerFile:
     return LoggerFile((), np.ascontiguousarray(np.concatenate(parts, axis=1), dtype=float))
 
 
-def _loaded(raw: bytes) -> dict[str, Any]:
+def _loaded(raw: bytes) -> Arrays:
     from scipy.io import loadmat
 
-    return dict(loadmat(io.BytesIO(raw)))
+    return {key: np.asarray(value) for key, value in loadmat(io.BytesIO(raw)).items() if not key.startswith("__")}
 
 
-def _arrays(content: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
+def _arrays(content: Arrays) -> dict[str, tuple[int, ...]]:
     """The arrays of a MATLAB file, those in structures too: path and shape of each."""
     found: dict[str, tuple[int, ...]] = {}
-    level = [(key, np.asarray(value)) for key, value in content.items() if not key.startswith("__")]
+    level = list(content.items())
     while level:
         path, value = level.pop(0)
         if value.dtype.names and value.size == 1:
@@ -175,14 +169,14 @@ def _arrays(content: Mapping[str, Any]) -> dict[str, tuple[int, ...]]:
     return found
 
 
-def _listed(content: Mapping[str, Any], most: int = 20) -> str:
+def _listed(content: Arrays, most: int = 20) -> str:
     """The arrays of a MATLAB file for a sentence."""
     found = [f"{path} ({' x '.join(map(str, shape))})" for path, shape in _arrays(content).items()]
     more = f" and {len(found) - most} more" if len(found) > most else ""
     return ", ".join(found[:most]) + more if found else "no arrays"
 
 
-def _variable(content: Mapping[str, Any], path: str, name: str, key: str) -> NDArray[Any]:
+def _variable(content: Arrays, path: str, name: str, key: str) -> NDArray[Any]:
     """A variable of a MATLAB file, or a field of a structure in it: "Theta1.signals.values"."""
     first, *fields = path.split(".")
     found = content.get(first)
