@@ -3,29 +3,19 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import re
 import tomllib
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from campaigns import decay
-from scipy.io import savemat
 
 from bayes_damper.campaign import load_campaign
-from bayes_damper.campaign.importing import logger_files
 from bayes_damper.campaign.importing.importer import import_records, init_campaign, records_in
-from bayes_damper.campaign.importing.logger_columns import LoggerFile
-from bayes_damper.campaign.importing.logger_files import read_file
-from bayes_damper.campaign.importing.options import ReaderOptions
-from bayes_damper.campaign.importing.units import _middle, convert
-from bayes_damper.campaign.readings import find_first_peak, find_release
 from bayes_damper.cli import main
 from bayes_damper.commands.check import check
 from bayes_damper.errors import InputError
@@ -806,18 +796,6 @@ def test_raw_says_where_the_files_lie_that_a_sheet_names(tmp_path: Path) -> None
     assert main(["init", str(tmp_path / "other"), "--sheet", str(sheet), *options]) == 2
 
 
-@pytest.mark.parametrize(("name", "unit"), [
-    ("x_mm", "mm"), ("alpha1_rad_s2", "rad/s^2"), ("v_m_s", "m/s"), ("torque1_n_m", "N m"), ("t_ms", "ms"),
-    ("x1_m", "m"), ("position", None), ("x_px", None), ("gram", None), ("_mm", None), ("Weg [mm]", "mm"),
-    ("s1 / mm", "mm"), ("a / m/s²", "m/s^2"), ("a / (m/s^2)", "m/s^2"), ("Position, mm", "mm"), ("Zeit in ms", "ms"),
-    ("Angle/rad", "rad"), ("v/m/s", "m/s"), ("s/m", "m"), ("AngVel/rad/s", "rad/s"), ("m/s", None),
-    ("Speed m/s", None), ("left/right", None), ("/s", None), ("sensor in use", None), ("rev/s", None),
-    ("in mm", None), ("left, right", None),
-])  # fmt: skip
-def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
-    assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
-
-
 @pytest.mark.parametrize("unit", ["mNm", "mN·m", "mN*m", "mN m", "mN.m"])
 def test_a_torque_has_its_unit_however_it_is_written(tmp_path: Path, unit: str) -> None:
     """A line of units stays one where one of them is unknown, and that one is named."""
@@ -896,30 +874,6 @@ def test_a_record_that_starts_in_the_middle(tmp_path: Path) -> None:
     assert "it starts in the middle" in fault_of(tmp_path, source)
 
 
-def test_release_and_first_peak_are_found() -> None:
-    assert find_release(TIMES, wave()) == pytest.approx(0.0, abs=0.0015)
-    period = 2.0 * math.pi * math.sqrt(3.015e-3 / 10.2)
-    late = 0.3 * period < TIMES
-    assert find_first_peak(TIMES[late], wave()[late]) == pytest.approx(0.5 * period, abs=0.02 * period)
-
-
-@pytest.mark.parametrize("held", [0.0, 0.05, 0.6])
-def test_the_first_peak_is_not_where_a_hand_still_holds_the_rig(held: float) -> None:
-    times = np.arange(0.0, 8.0, 1.0 / 60.0)
-    after = np.maximum(times - held, 0.0)
-    y = np.round(90.0 * np.exp(-0.1 * after) * np.cos(2.0 * math.pi * after), 1)
-    y[times < 0.5 * held] += 0.4  # a hand is not still
-    assert find_first_peak(times, y) == pytest.approx(held + 0.5 if held else 0.0, abs=0.01)
-
-
-def test_a_reading_in_the_middle_is_a_crossing_too() -> None:
-    times = np.arange(0.0, 4.0, 0.025)
-    y = np.cos(2.0 * math.pi * (times - 0.1)).round(6)  # 0 at 0.35, 0.85, ...: readings, as of a coarse encoder
-    y[times > 0.36] *= 1.3
-    assert np.count_nonzero(y == 0.0) > 4
-    assert find_first_peak(times, y) == pytest.approx(0.1, abs=0.01)
-
-
 def test_one_unit_serves_both_channels_and_a_fault_names_the_file(tmp_path: Path) -> None:
     times = np.arange(400) * 1e-2
     x = 40.0 * np.exp(-0.1 * times) * np.cos(6.0 * times)
@@ -939,13 +893,6 @@ def test_one_unit_serves_both_channels_and_a_fault_names_the_file(tmp_path: Path
         init_campaign(tmp_path / "d", [tmp_path / "free_1.csv", tmp_path / "damped_1.csv"], **given, sign=[1])
 
 
-def test_tangential_units() -> None:
-    ones = np.ones(2)
-    assert convert(ones, "g", "torsional", "acceleration", 0.1, "x") == pytest.approx([98.0665] * 2)
-    assert convert(ones, "deg", "torsional", "displacement", None, "x") == pytest.approx([math.pi / 180.0] * 2)
-    assert convert(ones, "mm", "translational", "displacement", None, "x") == pytest.approx([1e-3] * 2)
-
-
 @pytest.mark.parametrize("name", ["rotary_pendulum", "tuned_mass_damper", "double_pendulum"])
 def test_real_rigs_come_out_as_shipped(tmp_path: Path, name: str) -> None:
     if not (RAW / name).is_dir():
@@ -956,136 +903,6 @@ def test_real_rigs_come_out_as_shipped(tmp_path: Path, name: str) -> None:
         digests = [hashlib.sha256((f / file).read_bytes()).hexdigest() for f in (folder, shipped)]
         assert digests[0] == digests[1]
     assert load_campaign(folder).training
-
-
-def test_readings_of_a_json_file_become_columns(tmp_path: Path) -> None:
-    rows = [
-        {"time": t, "angle": a, "on": i > 3, "note": "x"} for i, (t, a) in enumerate(zip(TIMES, wave(), strict=True))
-    ]
-    path = tmp_path / "log.json"
-    path.write_text(json.dumps({"mass": 0.49, "entries": rows}), encoding="utf-8")
-    found = read_file(path)
-    assert found.names == ("time", "angle", "on")
-    np.testing.assert_array_equal(found.table[:, 1], wave())
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "not valid JSON .*line 1"),
-        ('{"a": 1}', "holds 0 lists of readings"),
-        ('[{"a": "x"}, {"a": "y"}]', "hold no numbers"),
-        ('[{"a": 1}, {"a": "y"}]', "a reading is no number"),
-    ],
-)
-def test_a_json_file_without_readings_is_refused(tmp_path: Path, text: str, told: str) -> None:
-    path = tmp_path / "log.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=told):
-        read_file(path)
-
-
-def test_a_field_of_a_matlab_structure_is_a_variable(tmp_path: Path) -> None:
-    path = tmp_path / "log.mat"
-    savemat(path, {"th": {"time": TIMES[:, None], "signals": {"values": wave()[:, None]}}})
-    option = ReaderOptions(matlab_time=("th.time",), matlab_data=("th.signals.values",))
-    np.testing.assert_array_equal(read_file(path, option).table, np.stack([TIMES, wave()], axis=1))
-    with pytest.raises(InputError, match=r"no variable 'th\.signal'; it holds th\.time \(1400 x 1\), th\.sig"):
-        read_file(path, replace(option, matlab_data=("th.signal",)))
-
-
-@pytest.mark.parametrize(
-    ("option", "sentence"),
-    [
-        (
-            {},
-            r"It holds t \(1400 x 1\), th\.a \(1 x 1400\), few .*: name them with --matlab-data, and the time's",
-        ),
-        ({"matlab_time": ["t"], "matlab_data": ["few"]}, "names 1400 readings and matlab_data 5; the file holds t"),
-        ({"matlab_data": ["words"]}, r"'words' holds no numbers; it holds .*th\.a"),
-        ({"matlab_data": ["th.a", "few", "square"]}, "'square' has 3 columns, those before it 1"),
-    ],
-)
-def test_the_arrays_of_a_matlab_file_are_listed(tmp_path: Path, option: dict[str, list[str]], sentence: str) -> None:
-    path = tmp_path / "log.mat"
-    content = {"t": TIMES[:, None], "th": {"a": wave()}, "few": np.arange(5), "words": "Run 1", "square": np.eye(3)}
-    savemat(path, content)
-    with pytest.raises(InputError, match=sentence):
-        read_file(path, ReaderOptions.of(option))
-
-
-@pytest.mark.parametrize("word", ["zeit", "Zeit_MS", "messung.ziet_ms", "zeitms", "messung.t.zeit"])
-def test_an_array_that_is_misspelt_or_abbreviated_is_found(tmp_path: Path, word: str) -> None:
-    path = tmp_path / "log.mat"
-    savemat(path, {"messung": {"weg_mm": wave(), "zeit_ms": TIMES}, "rate": 100.0})
-    listed = r"it holds messung\.weg_mm \(1 x 1400\), messung\.zeit_ms \(1 x 1400\)"
-    with pytest.raises(InputError, match=rf"no variable '{word}'; {listed}: did you mean 'messung\.zeit_ms'\?"):
-        read_file(path, ReaderOptions(matlab_time=(word,)))
-    with pytest.raises(InputError, match="columns without names; give its number from 1"):
-        read_file(path, ReaderOptions(matlab_data=("messung.weg_mm",))).index(word, "log.mat")
-    with pytest.raises(InputError, match=r"did you mean 'messung\.zeit_ms'"):
-        LoggerFile(("messung.weg_mm", "messung.zeit_ms"), np.zeros((9, 2))).index(word, "log.csv")
-
-
-def test_a_matlab_file_may_hold_each_channel_in_an_array_of_its_own(tmp_path: Path) -> None:
-    path = tmp_path / "log.mat"
-    savemat(path, {"daq": {"t": TIMES, "enc1": wave(), "enc2": 0.3 * wave(), "both": np.stack([wave(), wave()])}})
-    read = partial(read_file, path)
-    table = read(ReaderOptions(matlab_time=("daq.t",), matlab_data=("daq.enc1", "daq.enc2"))).table
-    np.testing.assert_array_equal(table, np.column_stack([TIMES, wave(), 0.3 * wave()]))
-    more = read(ReaderOptions(matlab_time=("daq.t",), matlab_data=("daq.enc1", "daq.both"))).table
-    assert more.shape == (TIMES.size, 4)
-    twice = read(ReaderOptions(matlab_time=("daq.t", "daq.t"), matlab_data=("daq.enc1", "daq.enc2"))).table
-    assert twice.shape == (2 * TIMES.size, 2)
-    assert read(ReaderOptions(matlab_data=("daq.enc1", "daq.enc2"))).table.shape == (2 * TIMES.size, 1)
-
-
-@pytest.mark.parametrize("place", [176, 177])
-def test_a_matlab_file_that_crashes_its_reader_is_refused(tmp_path: Path, place: int) -> None:
-    """SciPy looks the type of numbers up in a table and past its end, which ends the process with a signal."""
-    path = tmp_path / "log.mat"
-    savemat(path, {"t": TIMES[:6]})
-    raw = bytearray(path.read_bytes())
-    raw[place] = 0xFF
-    path.write_bytes(raw)
-    with pytest.raises(InputError, match=r"log\.mat: not a MATLAB file that can be read .*; copy it again, or save it"):
-        read_file(path, ReaderOptions(matlab_data=("t",)))
-
-
-def test_a_small_matlab_file_has_less_time_and_memory_to_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some damaged ones fill the memory until they are stopped."""
-    given: list[dict[str, float]] = []
-    monkeypatch.setattr(logger_files, "apart", lambda _, __, **most: given.append(most) or {"t": TIMES[:, None]})
-    for size in (1000, 1_000_000):
-        logger_files._read_matlab(bytes(size), "log.mat", ReaderOptions(matlab_data=("t",)))
-    assert [most["seconds"] for most in given] == pytest.approx([15.0, 15.2], abs=0.01)
-    assert [most["memory"] for most in given] == pytest.approx([5e8, 5.2e8], rel=1e-3)
-
-
-def test_the_sideways_position_of_a_marker_becomes_an_angle() -> None:
-    """Of 0.5 rad the arc x / L is 4 % less: a sound pendulum would seem to have a wrong law of gravity."""
-    angle = np.linspace(-0.5, 0.5, 5)
-    x = 620.0 * np.sin(angle)
-    straight = convert(x, "mm", "torsional", "displacement", 0.62, "x", sideways=True)
-    assert straight == pytest.approx(angle, abs=1e-12)
-    assert convert(x, "mm", "torsional", "displacement", 0.62, "x") == pytest.approx(np.sin(angle))
-    for unit, kind, quantity, faulty, sentence in (
-        ("deg", "torsional", "displacement", x, "not for 'deg'"),
-        ("mm", "translational", "displacement", x, "of a turning rig"),
-        ("mm/s", "torsional", "velocity", x, "not for 'mm/s'"),
-        ("mm", "torsional", "displacement", 4.0 * x, "reaches 1.92 times the mounting radius"),
-    ):
-        with pytest.raises(InputError, match=sentence):
-            convert(faulty, unit, kind, quantity, 0.62, "x", sideways=True)
-
-
-def test_names_stand_above_units_of_pixels_with_none_for_the_frame(tmp_path: Path) -> None:
-    path = tmp_path / "clip.txt"
-    rows = "".join(f"{i}\t{i / 60:.4f}\t{600 + i}\t{500 - i}\n" for i in range(40))
-    path.write_text("# Tracker export\nframe\tt\tx\ty\n\ts\tpx\tpx\n" + rows, encoding="utf-8")
-    found = read_file(path)
-    assert found.names == ("frame", "t", "x", "y")
-    assert found.units == ("", "s", "px", "px")
 
 
 def test_declared_numbers_are_written_as_a_person_writes_them(tmp_path: Path) -> None:
@@ -1137,15 +954,6 @@ def test_a_tail_that_holds_too_little_of_a_swing_is_noted(tmp_path: Path) -> Non
         assert noted or abs(float(np.mean(held))) < 3.0, "of 40, under a swing of 280"
 
 
-@pytest.mark.parametrize("periods", [2.6, 3.4, 5.1])
-def test_the_middle_of_a_swing_that_decays_is_found(periods: float) -> None:
-    """By dry friction, which takes the same from each swing; a windowed mean alone is off by up to a tenth."""
-    u = np.linspace(0.0, 1.0, 700)
-    for phase in np.arange(0.0, 6.0, 0.7):
-        swing = (1.0 - 0.3 * u) * np.cos(2.0 * np.pi * periods * u * (1.0 + 0.02 * u) + phase)
-        assert abs(_middle(31.5 + swing) - 31.5) < 3e-3
-
-
 def test_truth_values_of_an_import_table_are_no_numbers(tmp_path: Path) -> None:
     source = logger_file(tmp_path / "run.csv", wave())
     folder = init_campaign(tmp_path / "made", [source], **OPTIONS, header=True, holdout=False)
@@ -1161,18 +969,6 @@ def test_an_import_table_writes_nothing_outside_its_campaign(tmp_path: Path, fil
     with pytest.raises(InputError, match="leaves the campaign's folder, or is too long"):
         import_records(table, tmp_path / "out")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["made", "run.csv", "table.toml"]
-
-
-def test_a_column_is_found_by_what_its_name_begins_with(tmp_path: Path) -> None:
-    """Some loggers put unit and run behind the name of a column."""
-    path = tmp_path / "run.csv"
-    rows = np.column_stack([np.arange(50) / 100.0, np.cos(np.arange(50)), np.sin(np.arange(50))])
-    head = "Time (s) Run #1,Position (m) Run #1,Positioner (m) Run #1"
-    np.savetxt(path, rows, delimiter=",", header=head, comments="", fmt="%.6f")
-    found = read_file(path)
-    assert (found.index("Position", "here"), found.index("time", "here")) == (1, 0)
-    with pytest.raises(InputError, match="here"):
-        found.index("Posi", "here")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
