@@ -214,8 +214,9 @@ def rounded_clock(times: Array) -> tuple[float, float] | None:
     step, first = np.polyfit(places := places_of(times), times, 1)
     off = float(np.max(np.abs(times - first - step * places)))
     unit = next((u for u in UNITS if np.max(np.abs(times / u - np.round(times / u))) < 1e-3), None)
-    coarse = unit is not None and EVEN * step < off < ROUNDED_OFF * unit < ROUNDED_OFF * step
-    return (unit, 1.0 / float(step)) if unit is not None and coarse else None
+    if unit is None or not EVEN * step < off < ROUNDED_OFF * unit < ROUNDED_OFF * step:
+        return None
+    return unit, 1.0 / float(step)
 
 
 def places_of(times: Array) -> NDArray[np.intp]:

@@ -26,6 +26,7 @@ from bayes_damper.diagnosis.published import diagnose_published
 from bayes_damper.diagnosis.response import Motion, motions
 from bayes_damper.diagnosis.sites import write_missing_torque
 from bayes_damper.diagnosis.verdict import RULE
+from bayes_damper.diagnosis.where import over_noise
 from bayes_damper.effects import Effect, all_effects, effects_sha256, options_of
 from bayes_damper.effects._law import SITES
 from bayes_damper.effects.base import SITE_TITLES
@@ -593,16 +594,10 @@ _Whitened = tuple[str, Array, Array, Array, tuple[Motion, int]]
 
 def _whitened(fit: Calibration) -> list[_Whitened]:
     """Of each fitted trial: label, times, residuals over the sensors' noise (channels, n), weights, and its motion."""
-    scale = fit.problem.noise.over_sensors[:, None]
     moved = {i: (m, k) for m in motions(fit) for k, i in enumerate(m.group.trials)}
-    out = []
-    for block in fit.linear.blocks:
-        for k, i in enumerate(block.group.trials):
-            trial = fit.problem.experiment.trials[i]
-            r = -block.r[k].reshape(block.group.y.shape[1], -1)
-            r *= scale[: len(r)]
-            out.append((trial_label(trial), trial.times, r, block.group.weight[k], moved[i]))
-    return sorted(out, key=lambda row: row[0])
+    trials = fit.problem.experiment.trials
+    rows = ((trial_label(trials[i]), trials[i].times, *row, moved[i]) for i, row in over_noise(fit).items())
+    return sorted(rows, key=lambda row: row[0])
 
 
 def _maps_of(trials: Sequence[_Whitened], channel: int, found: Diagnosis) -> dict[str, Any]:

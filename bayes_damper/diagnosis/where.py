@@ -138,14 +138,20 @@ def locate(fit: Calibration, *, events: bool = True) -> Where:
     )
 
 
+def over_noise(fit: Calibration) -> dict[int, tuple[Array, Array]]:
+    """Residuals (reading minus model) of each fitted trial over the noise of the sensors, and their weights.
+
+    (channels, n) each, whitened.
+    """
+    scale = fit.problem.noise.over_sensors[:, None]
+    rows = ((i, b, k) for b in fit.linear.blocks for k, i in enumerate(b.group.trials))
+    return {i: (-scale[: (c := b.group.y.shape[1])] * b.r[k].reshape(c, -1), b.group.weight[k]) for i, b, k in rows}
+
+
 def repeats_of(fit: Calibration) -> list[Repeats]:
-    """Residuals (reading minus model) of the fitted trials over the noise of the sensors, in sets of repeats."""
-    experiment = fit.problem.experiment
-    scale, spread = fit.problem.noise.over_sensors[:, None], _spread(fit)
-    blocks = [(i, block, k) for block in fit.linear.blocks for k, i in enumerate(block.group.trials)]
-    rows = {i: -block.r[k].reshape(block.group.y.shape[1], -1) for i, block, k in blocks}
-    residuals = {i: r * scale[: len(r)] for i, r in rows.items()}
-    weights = {i: block.group.weight[k] for i, block, k in blocks}
+    """Residuals of the fitted trials (`over_noise`) in sets of repeats."""
+    experiment, spread, found = fit.problem.experiment, _spread(fit), over_noise(fit)
+    residuals, weights = ({i: row[part] for i, row in found.items()} for part in (0, 1))
     out = []
     for members in repeats_by_reading(experiment, list(residuals)):
         single = np.array([residuals[i] for i in members])
