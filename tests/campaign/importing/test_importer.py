@@ -156,11 +156,8 @@ def test_the_time_need_not_be_named_beside_the_channels(tmp_path: Path) -> None:
     assert guessed.warnings == (*named.warnings, "No time column was named; used: column 1 (n).")
 
 
-def test_in_a_terminal_it_shows_the_columns_and_asks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    source = logger_file(tmp_path / "run.csv", wave())
-    answers = {"Inertia J1": "3.015e-3", "Stiffness k1t": "10.2", "Release angle": "4.7", "Release: start": "find"}
+def in_a_terminal(monkeypatch: pytest.MonkeyPatch, answers: dict[str, str]) -> list[str]:
+    """Questions that a person in a terminal is asked; answers : beginning of a question -> answer, else none."""
     asked: list[str] = []
 
     def reply(question: str) -> str:
@@ -170,6 +167,15 @@ def test_in_a_terminal_it_shows_the_columns_and_asks(
     monkeypatch.setattr("builtins.input", reply)
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    return asked
+
+
+def test_in_a_terminal_it_shows_the_columns_and_asks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = logger_file(tmp_path / "run.csv", wave())
+    answers = {"Inertia J1": "3.015e-3", "Stiffness k1t": "10.2", "Release angle": "4.7", "Release: start": "find"}
+    asked = in_a_terminal(monkeypatch, answers)
     assert main(["init", str(tmp_path / "out"), str(source)]) == 0
     trial = load_campaign(tmp_path / "out").trials[0]
     assert (trial.k1t.value, trial.configuration) == (10.2, "uncoupled")
@@ -187,15 +193,7 @@ def test_init_asks_in_the_units_of_the_rig_and_keeps_the_answers_where_they_do_n
     np.savetxt(source, np.column_stack([times, np.cos(30.0 * times)]), delimiter=",", header="t,x", comments="")
     answers = {"Kind of rig": "translational", "Mass J1 in kg (": "1.2", "Stiffness k1 in N/m": "500",
                "Their units": "furlong"}  # fmt: skip
-    asked: list[str] = []
-
-    def reply(question: str) -> str:
-        asked.append(question)
-        return next((answer for key, answer in answers.items() if question.startswith(key)), "")
-
-    monkeypatch.setattr("builtins.input", reply)
-    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
-    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    asked = in_a_terminal(monkeypatch, answers)
     assert main(["init", str(tmp_path / "out"), str(source)]) == 2
     assert len(asked) == 12
     assert not any("N m/rad" in q or "kg m^2" in q or "axis" in q for q in asked)

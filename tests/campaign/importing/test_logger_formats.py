@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import importlib
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -212,6 +213,17 @@ def test_matlab_7_3_is_read_as_the_hdf5_that_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.table[:, found.time_column()], TIMES)
 
 
+def track(tmp_path: Path, form: Callable[[np.ndarray], np.ndarray]) -> tuple[Path, np.ndarray, dict[str, object]]:
+    """A logger's file of a decaying swing in raw numbers, the angle in rad, and the options of its import."""
+    times = np.arange(0.0, 2.0, 2e-3)
+    omega = math.sqrt(10.2 / 3.015e-3)
+    angle = math.radians(20.0) * np.exp(-0.5 * times) * np.cos(omega * times)
+    path = tmp_path / "track.csv"
+    path.write_text("t,raw\n" + "\n".join(f"{t:.4f},{x:.10g}" for t, x in zip(times, form(angle), strict=True)))
+    given = {"primary_inertia": 3.015e-3, "k1t": 10.2, "time": "t", "columns": ["raw"], "quantity": "displacement"}
+    return path, angle, given
+
+
 @pytest.mark.parametrize(
     ("form", "options"),
     [
@@ -225,12 +237,7 @@ def test_matlab_7_3_is_read_as_the_hdf5_that_it_is(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_counts_pixels_and_angles_that_begin_again(tmp_path: Path, form: object, options: dict) -> None:
-    times = np.arange(0.0, 2.0, 2e-3)
-    omega = math.sqrt(10.2 / 3.015e-3)
-    angle = math.radians(20.0) * np.exp(-0.5 * times) * np.cos(omega * times)
-    path = tmp_path / "track.csv"
-    path.write_text("t,raw\n" + "\n".join(f"{t:.4f},{x:.10g}" for t, x in zip(times, form(angle), strict=True)))
-    given = {"primary_inertia": 3.015e-3, "k1t": 10.2, "time": "t", "columns": ["raw"], "quantity": "displacement"}
+    path, angle, given = track(tmp_path, form)
     init_campaign(tmp_path / "out", [path], free_start=True, **given, **options)
     y = load_campaign(tmp_path / "out").trials[0].channels[0]
     np.testing.assert_allclose(y, angle, atol=2.0 * math.pi / 4096)
@@ -272,12 +279,7 @@ def test_measured_inputs_are_imported(tmp_path: Path) -> None:
 def test_readings_that_begin_again_are_noticed_with_the_option_that_joins_them(
     tmp_path: Path, form: object, options: dict, named: str
 ) -> None:
-    times = np.arange(0.0, 2.0, 2e-3)
-    omega = math.sqrt(10.2 / 3.015e-3)
-    angle = math.radians(20.0) * np.exp(-0.5 * times) * np.cos(omega * times)
-    path = tmp_path / "track.csv"
-    path.write_text("t,raw\n" + "\n".join(f"{t:.4f},{x:.10g}" for t, x in zip(times, form(angle), strict=True)))
-    given = {"primary_inertia": 3.015e-3, "k1t": 10.2, "time": "t", "columns": ["raw"], "quantity": "displacement"}
+    path, _, given = track(tmp_path, form)
     if not named:
         init_campaign(tmp_path / "out", [path], free_start=True, **given, **options)
         return
