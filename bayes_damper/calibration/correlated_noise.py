@@ -39,6 +39,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.experiment import lone, repeats_by_reading
 from bayes_damper.calibration.noise import rounding
+from bayes_damper.calibration.noise_level import TRUSTED, trust_of
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -276,13 +277,13 @@ def _described(
 ) -> FittedNoise:
     problem = fit.problem
     fast = sensor or rough_noise(problem.experiment, problem.trials).total
-    residuals = fit.residuals()
+    residuals, trust = fit.residuals(), trust_of(problem)
     channels = []
     for c, used in enumerate(problem.noise.total):
         values, products = [], []
         for i, r in residuals.items():
             if c < r.shape[0]:
-                x = np.where(_weights(fit)[i][c] > 0.9, r[c], np.nan)
+                x = np.where(trust[i][c] > TRUSTED, r[c], np.nan)
                 values.append(x[np.isfinite(x)])
                 both = x[1:] * x[:-1]
                 products.append(both[np.isfinite(both)])
@@ -295,10 +296,6 @@ def _described(
         channels.append(ChannelNoise(repeats[c], fast[c], math.sqrt(square), correlation, used, learnt))
     power = tuple(p if w else 1.0 for p, w in zip(_power(fit), wide, strict=True))
     return FittedNoise(fit, kind, chosen, tuple(channels), freedom, power, unlike)
-
-
-def _weights(fit: Calibration) -> dict[int, Array]:
-    return {i: g.weight[k] for g in fit.problem.groups for k, i in enumerate(g.trials)}
 
 
 def _again(fit: Calibration, noise: Noise) -> Calibration:
@@ -325,8 +322,8 @@ def _like(fit: Calibration, group: Group) -> Array:
 def _power(fit: Calibration) -> list[float]:
     counts = np.zeros(len(fit.problem.noise.total))
     for group in fit.problem.groups:
-        weight = group.weight * _like(fit, group)[:, None, None]
-        counts[: weight.shape[1]] += np.sum(weight**2, axis=(0, 2))
+        trust = group.trust * _like(fit, group)[:, None, None]
+        counts[: trust.shape[1]] += np.sum(trust**2, axis=(0, 2))
     return [
         float(np.sum(x**2)) / max(n, 1.0) if x.size else 1.0 for x, n in zip(_innovations(fit), counts, strict=True)
     ]
@@ -471,15 +468,15 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
     """
     problem = fit.problem
     total = problem.noise.total
-    residuals, weights = fit.residuals(), _weights(fit)
+    residuals, weights = fit.residuals(), trust_of(problem)
     free = _left_free(fit, channel)
     out = []
     for members in repeats_by_reading(problem.experiment, problem.trials):
-        members = [i for i in members if channel < len(weights[i]) and weights[i][channel].max() > 0.9]  # noqa: PLW2901
+        members = [i for i in members if channel < len(weights[i]) and weights[i][channel].max() > TRUSTED]  # noqa: PLW2901
         if not members:
             continue
         stack = np.array([np.nan_to_num(residuals[i][channel]) for i in members])
-        keep = np.min([weights[i][channel] for i in members], axis=0) > 0.9
+        keep = np.min([weights[i][channel] for i in members], axis=0) > TRUSTED
         if keep.sum() < 60:
             continue
         # Of three repeats or more the middle one shows what they share; else what is usual over time must do.

@@ -57,6 +57,7 @@ class TrialRecord:
     theta0, theta0_sd: nominal release angle (rad) and its standard uncertainty; inputs: what acted on the rig;
     weight (channels, n): what multiplies the residuals of readings that do not count fully; errors (k, channels, n):
     what independent standard deviations of the inputs' noise do to the readings (input_noise.py);
+    spread (channels, n): standard deviation of each reading's noise over that of its channel (noise_spread.py);
     doubt: s by which the release may be off, where that is more than `STEPS_OF_DOUBT` of the clock.
     """
 
@@ -74,12 +75,22 @@ class TrialRecord:
     weight: Array | None = None
     errors: Array | None = None
     doubt: float = 0.0
+    spread: Array | None = None
 
     def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
         """The trial with these of its readings only; inputs stay as they were measured."""
         weight = None if self.weight is None else self.weight[:, which]
         errors = None if self.errors is None else self.errors[:, :, which]
-        return replace(self, times=self.times[which], y=self.y[:, which], weight=weight, errors=errors)
+        spread = None if self.spread is None else self.spread[:, which]
+        return replace(self, times=self.times[which], y=self.y[:, which], weight=weight, errors=errors, spread=spread)
+
+    def noise(self, sds: Array) -> Array:
+        """Standard deviation of the noise of each reading, (channels, n), from those of the channels, (channels,)."""
+        return np.repeat(sds[:, None], self.times.size, axis=1) if self.spread is None else sds[:, None] * self.spread
+
+    def steady(self, residual: Array) -> Array:
+        """Residuals (channels, n) over the spread of their noise, as if it were the same everywhere."""
+        return residual if self.spread is None else np.asarray(residual / self.spread)
 
     @property
     def prescribed(self) -> bool:

@@ -175,7 +175,7 @@ def forecasts(
         each = [(p, known.get(id(fit)) or forecast(fit, experiment.heldout, periods)) for p, fit in answers]
         found["averaged"] = {i: averaged([(p, own[i]) for p, own in each]) for i in found["before"]}
     whole = {
-        name: {i: p.residual for i, p in predict(unseeing(fit), tuple(found[name])).items()}
+        name: {i: experiment.trials[i].y - p.model for i, p in predict(unseeing(fit), tuple(found[name])).items()}
         for name, fit in (("before", before), ("after", after))
         if fit is not None and found[name]
     }
@@ -261,6 +261,7 @@ def _ahead(fit: Calibration, trials: Sequence[int], periods: float, missed: Arra
         eta = np.array([scaled[i][0] + scaled[i][1] @ own[i] for i in group.trials]).reshape(len(group.trials), -1)
         base, by_q, by_eta = _slopes(problem, group, fit.q, eta)
         for k, i in enumerate(group.trials):
+            t = experiment.trials[i]
             _, factors = scaled[i]
             state = np.einsum("wcn,wm->mcn", by_eta[k], factors)
             variance = np.einsum("mcn,ml,lcn->cn", state, spread[i], state)
@@ -269,8 +270,7 @@ def _ahead(fit: Calibration, trials: Sequence[int], periods: float, missed: Arra
                 along = by_q[k] + np.einsum("mcn,mk->kcn", state, follow[i])
                 variance = variance + np.einsum("kcn,kl,lcn->cn", along, fit.covariance, along)
                 count = len(variance)
-                variance = variance + ((missed[:count] * swing[i]) ** 2 + floor[:count] ** 2)[:, None]
-            t = experiment.trials[i]
+                variance = variance + ((missed[:count] * swing[i]) ** 2)[:, None] + t.noise(floor[:count]) ** 2
             rest = t.times > seen[i]
             out[i] = Forecast(
                 i, seen[i] - _released(experiment, i), swing[i], t.times[rest], t.y[:, rest], base[k][:, rest],

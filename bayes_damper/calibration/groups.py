@@ -52,6 +52,7 @@ class Group:
     inputs: Inputs | None
     y: Array  # (trials, channels, n), missing readings 0
     weight: Array  # the same shape; 0 where missing
+    trust: Array  # the same shape: the weight but for what noise that is not the same everywhere changes of it
     events: NDArray[np.bool_]  # the same shape; beside friction reversals
     nuisances: tuple[Nuisance, ...]
     lower: Array  # (trials, m) bounds of eta
@@ -100,9 +101,9 @@ class Group:
     def only(self, at: slice) -> Group:
         """The group of some of its trials."""
         return replace(
-            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], events=self.events[at],
-            nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances), lower=self.lower[at],
-            upper=self.upper[at], kept={},
+            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], trust=self.trust[at],
+            events=self.events[at], nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances),
+            lower=self.lower[at], upper=self.upper[at], kept={},
         )  # fmt: skip
 
     def turns(self, readings: int) -> Iterator[tuple[slice, Group]]:
@@ -189,8 +190,11 @@ class Grouping:
             if own is not None:
                 weight[k] *= own
             weight[k][~np.isfinite(trials[k].y)] = 0.0
+        trust = weight
+        if any(t.spread is not None for t in trials):
+            weight = trust / np.array([np.ones(t.y.shape) if t.spread is None else t.spread for t in trials])
         return Group(
-            first.coupled, tuple(members), first.times, first.inputs, y, weight, events, nuisances, lower, upper,
+            first.coupled, tuple(members), first.times, first.inputs, y, weight, trust, events, nuisances, lower, upper,
             first.errors,
         )  # fmt: skip
 

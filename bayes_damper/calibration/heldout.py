@@ -30,7 +30,8 @@ STANDS_OUT, MISSED = 4.0, 60.0  # cost per reading over the median trial's, and 
 class Prediction:
     """What a fit says about a trial that it has not seen, its own nuisances fitted.
 
-    model (channels, n), residual (channels, n) = reading - model, eta (m,), chi2: whitened and weighted; n_data:
+    model (channels, n), residual (channels, n) = reading - model, over the
+    spread of its noise (`TrialRecord.spread`), eta (m,), chi2: whitened and weighted; n_data:
     weighted number of readings.
     """
 
@@ -98,8 +99,9 @@ def _predicted(fit: Calibration, trials: tuple[int, ...]) -> dict[int, Predictio
         y = problem.simulate(group, np.arange(n), np.tile(fit.q, (n, 1)), chosen)
         r = problem.whitened(y - group.y, group.weight)
         for j, i in enumerate(group.trials):
-            residual = problem.experiment.trials[i].y - y[j]
-            out[i] = Prediction(i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.weight[j] ** 2)))
+            trial = problem.experiment.trials[i]
+            residual = trial.steady(trial.y - y[j])
+            out[i] = Prediction(i, y[j], residual, chosen[j], float(r[j] @ r[j]), float(np.sum(group.trust[j] ** 2)))
     return out
 
 
@@ -111,7 +113,7 @@ def freed(fit: Calibration, most: int) -> Calibration:
     """
     blocks = fit.linear.blocks
     cost = np.concatenate([np.sum(b.r**2, axis=1) + np.sum(b.eta**2, axis=1) for b in blocks])
-    readings = np.concatenate([np.sum(b.group.weight**2, axis=(1, 2)) for b in blocks])
+    readings = np.concatenate([np.sum(b.group.trust**2, axis=(1, 2)) for b in blocks])
     usual = np.quantile(cost / readings, 0.5, method="lower") * readings
     trials = [i for b in blocks for i in b.group.trials]
     odd = {i: c for i, c, u in zip(trials, cost, usual, strict=True) if c > max(STANDS_OUT * u, u + MISSED)}

@@ -102,8 +102,9 @@ class Calibration:
         return (low, high) if low <= high else (high, low)
 
     def residuals(self) -> dict[int, Array]:
-        """Reading minus model of each fitted trial, (channels, n); nan where the reading is missing."""
-        return {i: self.problem.experiment.trials[i].y - y for i, y in self.simulated().items()}
+        """Reading minus model of each fitted trial, (channels, n), over the spread of its noise; nan where missing."""
+        trials = self.problem.experiment.trials
+        return {i: trials[i].steady(trials[i].y - y) for i, y in self.simulated().items()}
 
     def simulated(self) -> dict[int, Array]:
         """What the model gives for each fitted trial, (channels, n)."""

@@ -18,6 +18,7 @@ from bayes_damper.calibration.input_noise import FELT, felt, with_input_noise
 from bayes_damper.calibration.least_squares import Calibration, calibrate, calibrate_each, default_starts, drawn_starts
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.noise_level import learn_noise, noise_alone
+from bayes_damper.calibration.noise_spread import with_spread
 from bayes_damper.calibration.own_values import RELEASE, Scatter
 from bayes_damper.calibration.problem import Problem
 from bayes_damper.calibration.scatter import (
@@ -523,6 +524,9 @@ def calibrate_nominal(
     begin : a fit to the same trials but for some readings, near which the search begins.
     """
     exact = _with_exact_inputs(experiment, nominal, switches, begin, report)
+    if (uneven := with_spread(exact)) is not None:
+        report("the noise is stronger where the rig moves more; fitting the nominal model again")
+        exact = _with_exact_inputs(uneven, nominal, switches, exact, report)
     noisy = with_input_noise(exact)
     if noisy is None:
         return exact

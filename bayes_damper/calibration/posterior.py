@@ -139,7 +139,7 @@ class RecordPosterior:
         # As in Problem.n_data, else the noise would come out too small; but all readings of a trial that counts less
         # because its own residuals are larger.
         own = np.array([float(np.mean(self.problem.factors.get(i, 1.0))) for i in group.trials])
-        readings = np.sum(group.weight**2, axis=2) / own[:, None] ** 2
+        readings = np.sum(group.trust**2, axis=2) / own[:, None] ** 2
         if power is not None:
             readings = readings * np.array(power[:channels])
         scale = group.weight / np.array(self.problem.noise.innovation[:channels])[:, None]

@@ -111,7 +111,7 @@ class Problem:
     @property
     def n_data(self) -> float:
         """Number of readings, weighted."""
-        return float(sum(np.sum(g.weight**2) for g in self.groups))
+        return float(sum(np.sum(g.trust**2) for g in self.groups))
 
     # Set-up
 

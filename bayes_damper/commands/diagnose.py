@@ -693,5 +693,6 @@ def _shown_record(found: Diagnosis, added: str) -> dict[str, Any] | None:
 
 def _residuals(fit: Calibration) -> dict[int, Array]:
     """Reading minus model (channels, n) of the held-out trials, of all trials where none is held out."""
-    heldout = fit.problem.experiment.heldout
-    return {i: p.residual for i, p in predict(unseeing(fit), heldout).items()} if heldout else fit.residuals()
+    trials, heldout = fit.problem.experiment.trials, fit.problem.experiment.heldout
+    given = {i: p.model for i, p in predict(unseeing(fit), heldout).items()} if heldout else fit.simulated()
+    return {i: trials[i].y - y for i, y in given.items()}

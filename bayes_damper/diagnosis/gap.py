@@ -452,7 +452,7 @@ def _length(shapes: Mapping[int, Array], covariance: Sequence[Array]) -> float:
 
 def _masks(problem: Problem, trials: Sequence[int]) -> dict[int, NDArray[np.bool_]]:
     return {
-        i: group.weight[k] > KEPT_WEIGHT for group in problem.grouped(tuple(trials)) for k, i in enumerate(group.trials)
+        i: group.trust[k] > KEPT_WEIGHT for group in problem.grouped(tuple(trials)) for k, i in enumerate(group.trials)
     }
 
 
@@ -466,18 +466,17 @@ def _squares(residuals: Mapping[int, Array], masks: Mapping[int, NDArray[np.bool
 
 
 def _rms(residuals: Mapping[int, Array], problem: Problem, trials: Sequence[int]) -> float:
-    masks = _masks(problem, trials)
-    total = sum(float(np.sum(np.nan_to_num(residuals[i])[masks[i]] ** 2)) for i in trials)
-    count = sum(int(masks[i].sum()) for i in trials)
-    return math.sqrt(total / max(count, 1))
+    """Rms in the readings' unit of residuals over the spread of their noise."""
+    masks, records = _masks(problem, trials), problem.experiment.trials
+    each = {i: np.nan_to_num(residuals[i]) * records[i].noise(np.ones(len(residuals[i]))) for i in trials}
+    total = sum(float(np.sum(each[i][masks[i]] ** 2)) for i in trials)
+    return math.sqrt(total / max(sum(int(masks[i].sum()) for i in trials), 1))
 
 
 def _floor_rms(problem: Problem, trials: Sequence[int]) -> float:
-    masks = _masks(problem, trials)
-    sds = problem.noise.floor
-    total = sum(float(m.sum()) * sds[c] ** 2 for i in trials for c, m in enumerate(masks[i]))
-    count = sum(int(masks[i].sum()) for i in trials)
-    return math.sqrt(total / max(count, 1))
+    masks, records, sds = _masks(problem, trials), problem.experiment.trials, np.array(problem.noise.floor)
+    total = sum(float(np.sum(records[i].noise(sds[: len(m)])[m] ** 2)) for i, m in masks.items())
+    return math.sqrt(total / max(sum(int(m.sum()) for m in masks.values()), 1))
 
 
 def _upper_limit(x: float, n: float, known: float) -> float:

@@ -85,7 +85,8 @@ def _rest(fit: Calibration) -> tuple[float, float]:
     own = problem.changed(experiment=without(problem.experiment, {i: hidden}))
     begun = calibrate(own, [fit.q], eta=fit.eta, anneal=False)
     seen = hidden & np.isfinite(y)
-    residual = (y - begun.simulated()[i]) / np.array(problem.noise.floor)[: len(y), None]
+    sds = np.array(problem.noise.floor)[: len(y)]
+    residual = (y - begun.simulated()[i]) / problem.experiment.trials[i].noise(sds)
     return float(np.sum(residual[seen] ** 2)), float(seen.sum())
 
 

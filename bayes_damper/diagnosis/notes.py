@@ -8,6 +8,7 @@ import numpy as np
 
 from bayes_damper.calibration import Calibration, Experiment
 from bayes_damper.calibration.cases import damping_in_words
+from bayes_damper.calibration.noise_spread import spread_in_words
 from bayes_damper.calibration.scatter import odd_values_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
 from bayes_damper.diagnosis.remainder import oddness, unlike_in_words
@@ -29,7 +30,7 @@ def notes_on(
 
     named : the fit with the effect that the verdict names; place : where the nominal model's gap lies.
     """
-    notes = []
+    notes = spread_in_words(experiment)
     if not experiment.coupled:
         notes.append("There are no coupled trials, so nothing can be said about the interface or the secondary.")
     if len(fit.problem.trials) == 1:

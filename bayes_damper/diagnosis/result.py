@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from bayes_damper.calibration import Calibration, Experiment
+from bayes_damper.calibration.noise_spread import spread_of
 from bayes_damper.calibration.scatter import scatter_shown
 from bayes_damper.diagnosis.budget import Budget
 from bayes_damper.diagnosis.gap import Gap, shifts
@@ -129,6 +130,7 @@ class Diagnosis:
                 "level": list(noise.total),
                 "phi": list(noise.phi),
                 "innovation": list(noise.innovation),
+                "spread": spread_of(self.experiment),
             },
             "effects": [self._row(name) for name in sorted(self.evidence, key=lambda n: -self.evidence[n])],
             "parameters": self._shifts(),

@@ -684,7 +684,7 @@ def squares_of(nominal: Calibration, fit: Calibration) -> float:
     return sum(
         float(np.nansum(np.square(inside[i] * w / sds[: len(w), None])))
         for g in nominal.problem.grouped(nominal.problem.trials)
-        for i, w in zip(g.trials, g.weight, strict=True)
+        for i, w in zip(g.trials, g.trust, strict=True)
     )
 
 

@@ -156,7 +156,7 @@ def products(
     problem = fit.problem
     trials = problem.experiment.trials
     groups = problem.grouped(tuple(heldout))
-    weights = {i: g.weight[k] for g in groups for k, i in enumerate(g.trials)}
+    weights = {i: g.trust[k] for g in groups for k, i in enumerate(g.trials)}
     fitted_by_all = [j for j in problem.trials if all(j in fitted for fitted, _ in residuals)]
     alike = {i: s for s in repeats_by_reading(problem.experiment, [*fitted_by_all, *heldout]) for i in s}
     partners = {i: [j for j in alike[i] if j in fitted_by_all] for i in heldout}

@@ -145,7 +145,7 @@ def over_noise(fit: Calibration) -> dict[int, tuple[Array, Array]]:
     """
     scale = fit.problem.noise.over_sensors[:, None]
     rows = ((i, b, k) for b in fit.linear.blocks for k, i in enumerate(b.group.trials))
-    return {i: (-scale[: (c := b.group.y.shape[1])] * b.r[k].reshape(c, -1), b.group.weight[k]) for i, b, k in rows}
+    return {i: (-scale[: (c := b.group.y.shape[1])] * b.r[k].reshape(c, -1), b.group.trust[k]) for i, b, k in rows}
 
 
 def repeats_of(fit: Calibration) -> list[Repeats]:

@@ -18,6 +18,7 @@ from bayes_damper.calibration.cases import one_damping_in_words
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
 from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
+from bayes_damper.calibration.noise_spread import spread_in_words
 from bayes_damper.calibration.posterior import RecordPosterior
 from bayes_damper.calibration.scatter import (
     odd_values_in_words,
@@ -107,7 +108,12 @@ def _fitted(folder: Path, report: Report, name: str, plan: FitPlan) -> CaseEntry
     report(0.76, "predictions done; next: influence of each trial, evidence, files, figures")
     entry["noise"] = noise.to_json(units("sigma1"))
     entry["scatter"] = scatter_shown(best, units("sigma1"))
-    entry["sentences"] += [*noise.sentences(units("sigma1")), *scatter_in_words(best), *unseen_in_words(best)]
+    entry["sentences"] += [
+        *spread_in_words(best.problem.experiment),
+        *noise.sentences(units("sigma1")),
+        *scatter_in_words(best),
+        *unseen_in_words(best),
+    ]
     entry["sentences"] += [*odd_values_in_words(best), *one_damping_in_words(best)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))

@@ -177,7 +177,7 @@ class RecordedCases:
             found = predict(moved, experiment.heldout)
             cases[case] = -0.5 * sum(p.chi2 for p in found.values())
             for k, p in found.items():
-                rms = float(np.sqrt(np.nanmean(p.residual**2)))
+                rms = float(np.sqrt(np.nanmean((experiment.trials[k].y - p.model) ** 2)))
                 trials[experiment.trials[k].label] = {"chi2": p.chi2, "readings": p.n_data, "residual_rms": rms}
         return {
             "what": "Held-out trials" if cases else "No trials are held out",
