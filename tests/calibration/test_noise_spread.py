@@ -11,7 +11,6 @@ from small_rig import NOISE, measured
 from bayes_damper.calibration import Experiment, calibrate_nominal
 from bayes_damper.calibration.heldout import predict
 from bayes_damper.calibration.noise_spread import with_spread
-from bayes_damper.diagnosis.sites import site_map
 
 MOST = 4.0  # times the noise of a rig at rest that is added at the largest reading
 
@@ -65,10 +64,3 @@ def test_a_held_out_trial_has_the_noise_that_the_fitted_ones_show(shaken: Experi
         assert p.chi2 / p.n_data == pytest.approx(1.0, abs=0.25)
         early, late = (np.std(part[:, 5:]) for part in np.array_split(p.residual, 2, axis=1))
         assert early / late == pytest.approx(1.0, abs=0.35)
-
-
-def test_it_is_not_taken_for_a_torque(shaken: Experiment) -> None:
-    """Without repeats, where the noise of the first swings resembles an error of the model that fades."""
-    alone = replace(shaken, trials=tuple(t for t in shaken.trials if t.number == 1))
-    found = site_map(calibrate_nominal(alone))
-    assert found.probabilities["none"] > 0.3
