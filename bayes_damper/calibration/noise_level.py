@@ -18,6 +18,7 @@ from bayes_damper.calibration.problem import Problem
 Array = NDArray[np.float64]
 STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
 TRUSTED = 0.9  # weight of a reading from which it shows the noise
+LEAST_LINES = 50.0  # independent ones of the spectra of all trials, from which colour stands out from chance
 CHANCE = 3.0  # standard deviations by which what is left may exceed the sensors' noise by chance
 WHITE_ENOUGH = 1.3  # largest ratio of residuals without repeats to the noise of the sensors up to which they are noise
 
@@ -210,7 +211,7 @@ def _fit_spectrum(
     """Whittle fit of a white plus an AR(1) process: sd of the innovations, phi, theta of the ARMA(1, 1) they form."""
     omega, power, count = spectrum_bins(spectra, counts)
     white = float(np.sum(count * power) / np.sum(count))
-    if not colour or omega.size < 50:
+    if not colour or float(np.sum(count)) < LEAST_LINES:
         return math.sqrt(white), 0.0, 0.0
     return whittle(omega, power, count)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coloured import autoregression
 from small_rig import NOISE, RIG, measured
 from test_forecast import swings
 
@@ -283,3 +284,13 @@ def test_the_noise_learnt_from_a_fit_is_that_of_the_encoder_while_it_moves():
     assert np.mean(np.diff(reading[0], n=4) == 0.0) > 0.5
     fit = calibrate_nominal(replace(swinging, trials=(replace(trial, y=reading),)))
     assert 0.1 * step < learn_noise(fit).floor[0] < step
+
+
+def test_short_records_show_together_that_their_noise_wanders():
+    """Eighty readings each: none has lines enough, all have. As white noise it would be a gap that nothing explains."""
+    rng = np.random.default_rng(2)
+    steady = measured(1, duration=0.08, repeats=4)
+    trials = tuple(replace(t, y=t.y + autoregression(rng, t.y.shape, 0.9, 3.0 * NOISE)) for t in steady.trials)
+    learnt = learn_noise(calibrate_nominal(replace(steady, trials=trials)))
+    assert min(learnt.phi) > 0.6
+    assert learn_noise(calibrate_nominal(steady)).phi == (0.0, 0.0)
