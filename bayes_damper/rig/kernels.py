@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core import config
 
 from bayes_damper.rig.cache_folder import distrusted
 
 _PACKAGE = Path(__file__).resolve().parents[1]
+# numba takes settings, the folder of machine code among them, from a file of this name in whatever folder it runs in.
+config._config_fname = ""  # noqa: SLF001
+config.reload_config()  # type: ignore[no-untyped-call]
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -26,12 +30,16 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             kernel = njit(function, cache=True, **usual)
         except RuntimeError:  # numba found nowhere to write to
             return njit(function, **usual)
-        return kernel if _is_safe(Path(kernel._cache.cache_path)) else njit(function, **usual)  # noqa: SLF001
+        return kernel if is_safe(kernel) else njit(function, **usual)
 
     return compile_it
 
 
+def is_safe(kernel: Any) -> bool:
+    """Whether the machine code of a kernel lies beside its source, or where nobody else can have written."""
+    return _nobody_else_writes(Path(kernel._cache.cache_path))  # noqa: SLF001
+
+
 @cache
-def _is_safe(folder: Path) -> bool:
-    """Whether machine code may be taken from there: beside the source, or where nobody else can have written."""
+def _nobody_else_writes(folder: Path) -> bool:
     return _PACKAGE in folder.parents or next(distrusted(folder), None) is None

@@ -29,6 +29,7 @@ from bayes_damper.effects.base import MOST_PARAMETERS, Variant
 from bayes_damper.rig import equations, vector_math
 from bayes_damper.rig.cache_folder import cache_folder, mark_used
 from bayes_damper.rig.equations import Rig
+from bayes_damper.rig.kernels import is_safe
 from bayes_damper.runs.content_hash import code_of
 from bayes_damper.simulation import integrator, late_binding
 from bayes_damper.simulation.composition import sensor_of_three_states
@@ -209,7 +210,9 @@ def _in_file(function: Callable[..., Any], bound: dict[str, object], path: Path,
         partial.replace(path)
     mark_used(path)
     code = function.__code__.replace(co_filename=str(path), co_firstlineno=1)
-    return njit(cache=True, **_NUMBA_OPTIONS, **options)(FunctionType(code, vars(integrator) | bound))
+    python = FunctionType(code, vars(integrator) | bound)
+    kernel = njit(cache=True, **_NUMBA_OPTIONS, **options)(python)
+    return kernel if is_safe(kernel) else njit(**_NUMBA_OPTIONS, **options)(python)
 
 
 def _compiled(kernel: Any) -> Any:

@@ -165,3 +165,36 @@ def test_a_planted_pickle_is_not_run(tmp_path):
 
 def test_nothing_is_distrusted_in_a_folder_that_is_not_there(tmp_path):
     assert not list(distrusted(tmp_path / "none"))
+
+
+def simulated_in(folder, **variables):
+    """A small simulation by another process that runs in a folder."""
+    code = "from bayes_damper import simulate_record; simulate_record(duration=0.1, out='record.csv')"
+    here = Path(module.__file__).parents[2]
+    environment = os.environ | {"PYTHONPATH": str(here), "PYTHONSAFEPATH": "1"} | variables
+    return subprocess.run([sys.executable, "-c", code], cwd=folder, env=environment, check=True, capture_output=True)
+
+
+@pytest.mark.slow
+def test_a_folder_in_which_a_command_runs_does_not_say_where_compiled_code_lies(tmp_path):
+    """numba would take that from a file in the current folder, and run the pickles it names."""
+    pytest.importorskip("yaml")  # else numba cannot read that file
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: planted\n", encoding="utf-8")
+    simulated_in(tmp_path)
+    assert (tmp_path / "record.csv").exists()
+    assert not (tmp_path / "planted").exists()
+
+
+@pytest.mark.slow
+def test_numbas_own_folder_is_judged_too(tmp_path):
+    shared = tmp_path / "shared"
+    simulated_in(tmp_path, NUMBA_CACHE_DIR=str(shared))
+    folders = [path for path in shared.rglob("*") if path.is_dir()]
+    mark = tmp_path / "ran"
+    for path in shared.rglob("*.nbi"):
+        path.write_bytes(pickle.dumps(Runs(mark)))
+    for path in (shared, *folders):
+        path.chmod(0o777)
+    simulated_in(tmp_path, NUMBA_CACHE_DIR=str(shared))
+    assert not mark.exists()
+    assert folders, "else nothing was planted"
