@@ -91,6 +91,9 @@ class LoggerFile:
         found = re.search(r"[\[(]([^\[\]()]+(?:\([^()]*\))?)[\])]\s*$", name) or re.search(_AFTER, name)
         if found:
             return unit_of(found[1])
+        # A run behind name and unit, as in "Position (cm) Run #1".
+        if found := re.search(r"[\[(]([^\[\]()]+)[\])]\s*(?:run|trial|lauf|#)[\s\w#:.-]*$", name, re.IGNORECASE):
+            return unit_of(found[1])
         # Physics writes the quantity over its unit, Angle/rad or v/m/s; which Speed m/s, m/s and rev/s do not.
         before, _, over = name.partition("/")
         words = before.split()

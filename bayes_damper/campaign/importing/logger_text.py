@@ -145,7 +145,8 @@ def _without_words(lines: list[Line], mark: str, comma: bool) -> tuple[list[Line
     """
     later = [_split(line, mark) for _, line in lines[len(lines) // 2 :]]
     width = Counter(map(len, later)).most_common(1)[0][0]
-    rows = [cells for cells in later if len(cells) == width]
+    # A foot may have as many cells as the rows, but no number.
+    rows = [cells for cells in later if len(cells) == width and any(_is_number(c, comma) for c in cells)]
     numbers = [sum(_is_number(row[i], comma) for row in rows) for i in range(width)]
     wordy = {i for i in range(width) if not numbers[i] and all(_is_word(row[i], comma) for row in rows)}
     wordy |= _remarks(lines, mark, comma)

@@ -158,7 +158,17 @@ def test_a_column_is_found_by_what_its_name_begins_with(tmp_path: Path) -> None:
     ("s1 / mm", "mm"), ("a / m/s²", "m/s^2"), ("a / (m/s^2)", "m/s^2"), ("Position, mm", "mm"), ("Zeit in ms", "ms"),
     ("Angle/rad", "rad"), ("v/m/s", "m/s"), ("s/m", "m"), ("AngVel/rad/s", "rad/s"), ("m/s", None),
     ("Speed m/s", None), ("left/right", None), ("/s", None), ("sensor in use", None), ("rev/s", None),
-    ("in mm", None), ("left, right", None),
+    ("in mm", None), ("left, right", None), ("Position (cm) Run #1", "cm"), ("Zeit [ms] Lauf 2", "ms"),
+    ("Run (a) #1", None), ("Force (N) (left)", None),
 ])  # fmt: skip
 def test_the_end_of_a_name_is_its_unit(name: str, unit: str | None) -> None:
     assert LoggerFile((name,), np.zeros((3, 1))).unit(0) == unit
+
+
+def test_a_foot_of_as_many_words_as_the_rows_have_cells_hides_no_column_of_words(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    rows = "".join(f"{i / 100:.2f};{0.5 * i:.1f};OK\n".replace(".", ",") for i in range(40))
+    path.write_text(f"t [s];x [mm];status\n{rows}Ende;der Messung;x\n", encoding="utf-8")
+    found = read_file(path)
+    assert found.table[-1, :2].tolist() == [0.39, 19.5]
+    assert "column 3 (status) holds words" in " ".join(found.notes)
