@@ -8,7 +8,7 @@ in a file is evaluated as code, and every fault of a file is reported at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -348,16 +348,19 @@ def priors_from_dict(
             found = _Reader(where, key, units[key], faults, key in defaults).entry(entry)
             if found is not None:
                 entries[key] = found
-    if not faults:
-        faults += _tie_faults(where, entries, defaults)
+    faults += _tie_faults(where, entries, defaults, table)
     if faults:
         raise InputError(faults)
     name = table.get("name", Path(where).stem if base is None else base.name)
     return PriorSet(str(name), entries, str(table.get("description", base.description if base else "")))
 
 
-def _tie_faults(where: str, entries: Mapping[str, Prior], defaults: Mapping[str, str] | None = None) -> list[str]:
-    """What is wrong with ties; defaults : parameters (with their unit) that need no entry to be tied to."""
+def _tie_faults(
+    where: str, entries: Mapping[str, Prior], defaults: Mapping[str, str] | None = None, named: Collection[str] = ()
+) -> list[str]:
+    """What is wrong with ties; defaults : parameters (with their unit) that need no entry to be tied to; named : all
+    that have an entry, a faulty one too.
+    """
     faults = []
     for name, entry in entries.items():
         if not isinstance(entry.value, str) or not entry.value:
@@ -365,11 +368,15 @@ def _tie_faults(where: str, entries: Mapping[str, Prior], defaults: Mapping[str,
         other = entries.get(entry.value)
         if other is None and entry.value in (defaults or {}):
             other = Prior(entry.value, None, (defaults or {})[entry.value])
+        if other is None and entry.value in named:
+            continue  # that entry's own fault is listed
         if other is None:
             valid = dict.fromkeys([*entries, *(defaults or {})])
             faults.append(f"{where}: {name} is tied to {entry.value!r}, which has no entry; {hint(entry.value, valid)}")
         elif entry.value == name:
             faults.append(f"{where}: {name} is tied to itself; give it a prior or another parameter")
+        elif other.value == name:
+            faults.append(f"{where}: {name} and {entry.value} are tied to each other; give one of them a prior")
         elif isinstance(other.value, str) and other.value:
             faults.append(f"{where}: {name} is tied to {entry.value}, which is itself tied; tie it to {other.value}")
         elif other.unit != entry.unit:

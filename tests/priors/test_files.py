@@ -266,6 +266,8 @@ def test_all_faults_of_a_file_come_at_once(tmp_path):
         ('mu = {dist = "normal", mean = 0, sd = 1, lower = 20, unit = "1"}', "leave nothing"),
         ('c3t = "c1"', "tied to 'c1', which has no entry"),
         ('c1t = 0.01\nc3t = "c1t"\nk3t = "c3t"', "which is itself tied; tie it to c1t"),
+        ('c1t = "c3t"\nc3t = "c1t"', "c1t and c3t are tied to each other; give one of them a prior"),
+        ('mu = -0.01\nc3t = "c1"', "tied to 'c1', which has no entry"),
         ('c1t = 0.01\nmu = "c1t"', "cannot be tied"),
         ('mu = {dist = "tied"}', "to = NAME"),
         ('mu = {dist = "normal", sd = 1, unit = "1", cases = {I = {meen = 1}}}', "case I: unknown key 'meen'"),
