@@ -166,9 +166,12 @@ def _frequency(trials: Sequence[Trial]) -> tuple[float, float] | None:
     for trial in trials:
         start, end = _moving(trial)
         inside = (trial.times >= start) & (trial.times <= end)
-        frequency = look.dominant_frequency(trial.times[inside], trial.channels[0][inside])
-        if frequency * (end - start) >= _FEWEST:
-            measured.append((frequency, 0.3 / (end - start)))
+        if np.count_nonzero(inside) < 8:  # has no frequency
+            continue
+        times, readings = look.without_long_gaps(trial.times[inside], trial.channels[0][inside])
+        frequency, length = look.dominant_frequency(times, readings), float(np.ptp(times))
+        if frequency * length >= _FEWEST:
+            measured.append((frequency, 0.3 / length))
     if not measured:
         return None
     return float(np.median([f for f, _ in measured])), float(np.median([error for _, error in measured]))

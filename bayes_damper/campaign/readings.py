@@ -389,7 +389,7 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float, stronge
 def dominant_frequency(times: Array, readings: Array) -> float:
     """Frequency of the strongest line, in Hz: peak of the windowed spectrum, refined by a parabola; 0 if none."""
     if len(times) >= 8:
-        times, readings = _without_long_gaps(times, readings)
+        times, readings = without_long_gaps(times, readings)
     count = len(times)
     if count < 8:
         return 0.0
@@ -407,7 +407,7 @@ def dominant_frequency(times: Array, readings: Array) -> float:
     return float((i + shift) / (size * (even[1] - even[0])))
 
 
-def _without_long_gaps(times: Array, readings: Array) -> tuple[Array, Array]:
+def without_long_gaps(times: Array, readings: Array) -> tuple[Array, Array]:
     """The longest stretch between gaps, where these make up a quarter of the record; else the whole record.
 
     A straight line through a long gap is no oscillation: it would be the strongest line of the spectrum.

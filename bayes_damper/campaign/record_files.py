@@ -230,7 +230,7 @@ def _name_bad_cells(
             else:
                 if not finite:
                     bad.append(
-                        f"{name}, line {line}, column '{column.strip()}': {cell.strip()} "
+                        f"{name}, line {line}, column '{column.strip()}': {cell.strip()[:60]} "
                         "is no reading; remove the line (gaps are allowed)"
                     )
     faults.extend(bad[:SHOWN])
@@ -258,11 +258,12 @@ def _check_times(trial: Trial, head: Head, name: str, faults: list[str]) -> bool
         (rate and _THOUSAND[0] < np.median(steps) * rate < _THOUSAND[1] and 1e-3 * np.ptp(times) > period)
         or (not rate and np.median(steps) > _COARSE * period)
     ):
+        unit = ("microseconds", "us") if 1e-3 * np.median(steps) > _COARSE * period else ("milliseconds", "ms")
         faults.append(
             f"{name}: time_s runs from {times[0]:.6g} to {times[-1]:.6g} in steps of {np.median(steps):.4g}, where one "
             f"natural period is {period:.4g} s{f' and sample_rate {rate:.6g} Hz' if rate else ''}; it looks like "
-            "milliseconds: give seconds, as `bayes-damper init` with --time-unit ms makes them of the logger's file "
-            "(or correct k1t, J1)"
+            f"{unit[0]}: give seconds, as `bayes-damper init` with --time-unit {unit[1]} makes them of the logger's "
+            "file (or correct k1t, J1)"
         )
         return False
     duration = times[-1] - max(times[0], 0.0)

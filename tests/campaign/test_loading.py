@@ -368,6 +368,13 @@ def test_wrong_units_and_short_records(folder: Path, change: Callable, sentence:
     assert FIRST in faults[0]
 
 
+def test_a_time_in_microseconds_is_not_called_milliseconds(folder: Path) -> None:
+    edit(folder / "campaign.toml", "sample_rate = 1000.0\n", "")
+    alter(folder / FIRST, lambda c: [c[0] * 1e6, c[1]])
+    (fault,) = faults_of(folder)
+    assert "it looks like microseconds: give seconds, as `bayes-damper init` with --time-unit us" in fault
+
+
 def test_a_wrong_rate_is_no_wrong_unit_of_time(folder: Path) -> None:
     """In milliseconds the record would be shorter than one natural period."""
     edit(folder / "campaign.toml", "sample_rate = 1000.0", "sample_rate = 1e6")

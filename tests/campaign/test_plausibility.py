@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from campaigns import read_table, write_synthetic, write_table
 
 from bayes_damper.campaign import load_campaign
 from bayes_damper.campaign import readings as look
@@ -577,3 +578,15 @@ def test_what_lies_on_no_steps_is_not_called_quantised():
         coarse = np.where(np.abs(y) < 0.5, np.round(y / 6.1e-5) * 6.1e-5, np.round(y, 3))  # two ranges of one sensor
         some = np.concatenate([coarse, coarse[rng.integers(0, count, 2 * count)]])
         assert look.resolution_of(some) == 0.0 or look.resolution_of(some) == pytest.approx(6.1e-5, rel=0.01)
+
+
+def test_stretches_shorter_than_three_swings_show_no_frequency(tmp_path):
+    """100 ms of readings and 100 ms without, in turns, of a rig with a period of 108 ms."""
+    folder = write_synthetic(tmp_path, configurations=("uncoupled",))
+    for path in folder.glob("trials/*.csv"):
+        names, columns = read_table(path)
+        kept = np.round(columns[0] * 1000.0) // 100 % 2 == 0
+        write_table(path, names, [column[kept] for column in columns])
+    warnings = load_campaign(folder).warnings
+    assert any("5 gaps in time" in w for w in warnings)
+    assert not [w for w in warnings if "swings at another frequency" in w]
