@@ -71,13 +71,20 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed", "fir
             return "exchanged"
         if share[0] > 0.0 and abs(share[1]) < 0.5 * share[0]:  # not released together: the primary draws it near
             return "reversed" if first > 0.3 and second > max(0.02, 6.0 * noise) else None
-    if head.rig.ground2_stiffness.value == 0.0 and second > _FREE and first < _LESS * second:
+    alike = second > _FREE > first and first < _LESS * second
+    if head.rig.ground2_stiffness.value == 0.0 and alike and not _is_cut_off(head, trial):
         return "exchanged"
     if first < -0.3:
         return "first reversed"
     if first > 0.3 and second < -max(0.02, 6.0 * noise):
         return "reversed"
     return "mirrored" if held is not None and abs(held[0] + held[1]) < _APART * abs(held[0]) else None
+
+
+def _is_cut_off(head: Head, trial: Trial) -> bool:
+    """Whether the first channel has flat tops, which hide how it begins."""
+    y, omega = trial.channels[0], 2.0 * math.pi / natural_period(head.rig, trial)
+    return bool(look.flat_tops_of(trial.times, y, look.noise_floor_of(y, trial.times), omega, False))
 
 
 def up_to_release(trial: Trial) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from campaigns import read_table, write_synthetic, write_table
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -200,3 +201,18 @@ def test_a_record_that_is_too_short_gets_no_guess(tmp_path):
         carts(tmp_path / "carts", end=HELD + 100)
     assert "less than one natural period" in str(error.value)
     assert "taken for" not in str(error.value)
+
+
+def test_a_first_channel_that_is_cut_off_is_not_called_exchanged(tmp_path):
+    """Of two bodies that move as one."""
+    found = carts(tmp_path / "cut", change=lambda y: np.stack([np.clip(y[0], -0.01, 0.01), y[0]]), begin=HELD)
+    assert "it looks clipped" in found
+    assert "look exchanged" not in found
+
+
+def test_a_second_channel_that_reads_ten_times_too_much_is_not_called_exchanged(tmp_path):
+    folder = write_synthetic(tmp_path)
+    for path in folder.glob("trials/*_coupled_*.csv"):
+        names, columns = read_table(path)
+        write_table(path, names, [*columns[:2], 9.81 * columns[2]])
+    assert not any("look exchanged" in w for w in load_campaign(folder).warnings)
