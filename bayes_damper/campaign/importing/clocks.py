@@ -20,6 +20,7 @@ from bayes_damper.errors import InputError
 Array = NDArray[np.float64]
 _FEWEST = 10  # readings that a record must have
 _STILL = 12.0  # reach of a record that rests, in standard deviations of its noise, at most
+_SLOW = 0.5  # s from reading to reading; those of a rig come every few milliseconds
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0}
 
 
@@ -40,6 +41,19 @@ def times_of(source: LoggerFile, option: TrialOptions, where: str) -> Array:
             f"{source.described()})"
         )
     return np.arange(len(source.table)) / float(rate)
+
+
+def unnamed_unit(source: LoggerFile, option: TrialOptions, times: Array, where: str) -> list[str]:
+    """A sentence where nothing says that times are in seconds, and readings are then very far apart."""
+    if option.time is None or option.time_unit is not None:
+        return []
+    column = source.index(option.time, where)
+    step = float(np.median(np.diff(times[np.isfinite(times)]))) if np.count_nonzero(np.isfinite(times)) > 1 else 0.0
+    if source.unit(column) in _TIME or step < _SLOW:
+        return []
+    taken = f"so it was taken in seconds, and readings come every {step:.3g} s"
+    cure = "if it is in milliseconds or microseconds, give --time-unit ms or us"
+    return [f"{where}: no unit is named for the time, {taken}; {cure}."]
 
 
 def source_of(option: TrialOptions, raw: Path, files: dict[Path, LoggerFile]) -> tuple[LoggerFile, str, TrialOptions]:

@@ -27,7 +27,15 @@ from bayes_damper import campaign as campaigns
 from bayes_damper.campaign import Campaign, Constant, Measurement, Rig, Trial
 from bayes_damper.campaign import readings as look
 from bayes_damper.campaign.importing import units
-from bayes_damper.campaign.importing.clocks import refuse_clocks, restarted, source_of, still, times_of, window
+from bayes_damper.campaign.importing.clocks import (
+    refuse_clocks,
+    restarted,
+    source_of,
+    still,
+    times_of,
+    unnamed_unit,
+    window,
+)
 from bayes_damper.campaign.importing.guesses import LEAST_KNOWN, file_names
 from bayes_damper.campaign.importing.logger_columns import LoggerFile
 from bayes_damper.campaign.importing.options import FROM_OPTIONS, TrialOptions, gathered, trials_of
@@ -214,6 +222,7 @@ def _trial_from(
     """
     source, where, option = source_of(option, raw, files)
     times = times_of(source, option, where)
+    contradicted += unnamed_unit(source, option, times, where)
     places = _places_of(source, option, where)
     channels = units.unwrapped(source.table[:, places].T, option)
     if measurement.quantity == "displacement" and option.wrap is None:

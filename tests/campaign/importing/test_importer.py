@@ -1023,3 +1023,12 @@ def test_stretches_that_the_table_cuts_are_not_taken_for_records_that_were_cut_o
     trials = tmp_path / "table" / "out" / "trials.csv"
     trials.write_text(trials.read_text().replace("true", "false"))
     assert any("cut off" in w for w in load_campaign(trials.parent).warnings)
+
+
+def test_a_time_without_a_unit_that_would_be_slow_in_seconds_is_remarked_on(tmp_path: Path) -> None:
+    options = {"columns": ["a"], "quantity": "displacement", "primary_inertia": 1.0}
+    source = logger_file(tmp_path / "run.csv", 1e-3 * wave(), times=1000.0 * TIMES)
+    found = load_campaign(init_campaign(tmp_path / "out", [source], **options)).warnings
+    assert any("no unit is named for the time, so it was taken in seconds, and readings come every" in w for w in found)
+    found = load_campaign(init_campaign(tmp_path / "ms", [source], **options, time_unit="ms")).warnings
+    assert not any("unit is named for the time" in w for w in found)
