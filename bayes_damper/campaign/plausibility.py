@@ -58,7 +58,9 @@ def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) 
     """
     _look_at_clock(head, trial, warnings)
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
-    grows = _growth(trial) if head.measurement.start == "free" and not trial.driven else []
+    free = head.measurement.start == "free"
+    alone = not trial.driven and (free or _begins_at_rest(head, trial))
+    grows = _growth(trial, None if free else 0.5 * omega / math.pi) if alone else []
     filled_in = [_look_at_channel(head, trial, i, omega, bool(grows), warnings) for i in range(len(trial.channels))]
     wiring = wiring_of(head, trial)
     if wiring == "exchanged":
@@ -70,7 +72,8 @@ def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) 
     if other := turned.get(wiring or ""):
         warnings.append(f"{trial.file}: at the release the second channel {other}; its sign looks reversed{_TURNED}")
     released = head.measurement.start == "rest" and trial.theta0 is not None
-    if released and not any(filled_in) and not (trial.driven and trial.theta0 is not None and not trial.theta0.value):
+    pushed = trial.driven and trial.theta0 is not None and not trial.theta0.value
+    if released and not grows and not any(filled_in) and not pushed:
         _look_at_release(head, trial, swings * omega, warnings)
     warnings += grows
 
@@ -178,9 +181,20 @@ def _held_for(head: Head, trial: Trial, y: Array) -> int:
     return count if at_rest else 0
 
 
-def _growth(trial: Trial) -> list[str]:
-    """A sentence where a decay begins small and then grows: at rest, or in a hand, before it was let go."""
-    frequency = look.dominant_frequency(trial.times, trial.channels[0])
+def _begins_at_rest(head: Head, trial: Trial) -> bool:
+    """Whether a displacement that should begin with its release begins near 0 and later goes as far as that."""
+    if head.measurement.quantity != "displacement" or trial.theta0 is None or trial.times[0] < 0.0:
+        return False
+    sizes, held = np.abs(trial.channels[0]), abs(trial.theta0.value)
+    return float(np.median(sizes[:_FEW])) < 0.1 * held and float(np.max(sizes)) > _BEGINS["displacement"] * held
+
+
+def _growth(trial: Trial, released: float | None) -> list[str]:
+    """A sentence where a decay begins small and then grows: at rest, or in a hand, before it was let go.
+
+    released : of a release at t = 0 the frequency of the rig, Hz; None where the start is inferred
+    """
+    frequency = released or look.dominant_frequency(trial.times, trial.channels[0])
     if frequency == 0.0 or np.ptp(trial.times) < 3.0 / frequency:
         return []
     first = trial.times < trial.times[0] + 1.0 / frequency
@@ -188,10 +202,13 @@ def _growth(trial: Trial) -> list[str]:
     if np.count_nonzero(first) < 4 or any(np.max(s[first]) > _GROWS * np.max(s) for s in sizes):
         return []
     largest = float(trial.times[int(np.argmax(sizes[0]))])
+    option = f"`init --release {look.release_option(trial.times, trial.channels[0])}`"
+    cure = f'put t = 0 there and take off what is read before; or, with start = "free" and no theta0, {option}'
+    if released is None:
+        cure = f'fits with start = "free" need a record of the decay alone: {option}, or take the first readings off'
     sentence = (
         f"{trial.file}: the motion grows until {largest:.4g} s: the rig rests, or a hand moves it, before it is let "
-        'go; fits with start = "free" need a record of the decay alone: `init --release '
-        f"{look.release_option(trial.times, trial.channels[0])}`, or take the first readings off"
+        f"go; {cure}"
     )
     return [sentence]
 

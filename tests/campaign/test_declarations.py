@@ -216,3 +216,17 @@ def test_a_second_channel_that_reads_ten_times_too_much_is_not_called_exchanged(
         names, columns = read_table(path)
         write_table(path, names, [*columns[:2], 9.81 * columns[2]])
     assert not any("look exchanged" in w for w in load_campaign(folder).warnings)
+
+
+def test_a_record_that_begins_before_a_hand_lifts_the_rig_is_said_to(tmp_path):
+    """The clock begins at 0 and the release is at 0.6 s."""
+
+    def lifted(y):
+        hand = np.interp(TIMES, [0.0, 0.3, 0.5, 0.6], [0.0, 0.0, 1.0, 1.0]) * y[:, HELD : HELD + 1]
+        return np.where(TIMES < 0.6, hand, np.roll(y, 300, axis=1))
+
+    found = carts(tmp_path / "lifted", change=lifted, begin=HELD)
+    assert "the motion grows until" in found
+    assert "put t = 0 there and take off what is read before" in found
+    assert "begins after the motion began" not in found
+    assert "grows" not in carts(tmp_path / "sound", begin=HELD)
