@@ -590,3 +590,14 @@ def test_stretches_shorter_than_three_swings_show_no_frequency(tmp_path):
     warnings = load_campaign(folder).warnings
     assert any("5 gaps in time" in w for w in warnings)
     assert not [w for w in warnings if "swings at another frequency" in w]
+
+
+def test_a_sensor_that_stands_still_at_the_largest_motion_is_not_in_another_unit(tmp_path):
+    """Accelerations of a motion that has nearly died when the sensor begins to read."""
+    folder = write_synthetic(tmp_path, configurations=("uncoupled",), noise=0.5)
+    for path in folder.glob("trials/*.csv"):
+        names, (times, y) = read_table(path)
+        write_table(path, names, [times, np.where(times < 0.9, 0.0, y)])
+    warnings = load_campaign(folder).warnings
+    assert any("stands still at 0" in w for w in warnings)
+    assert not [w for w in warnings if "the largest reading" in w]
