@@ -7,6 +7,7 @@ import contextlib
 import difflib
 import functools
 import logging
+import os
 import re
 import shlex
 import sys
@@ -43,6 +44,20 @@ def _closed_afterwards(args: Arguments) -> Iterator[None]:
     finally:
         if (shown := getattr(args, "shown", None)) is not None:
             shown.close()
+
+
+@contextlib.contextmanager
+def _nothing_of_this_folder_run() -> Iterator[None]:
+    """Processes that start meanwhile import no module from the current folder, where Python would look first."""
+    before = os.environ.get("PYTHONSAFEPATH")
+    os.environ["PYTHONSAFEPATH"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONSAFEPATH"]
+        else:
+            os.environ["PYTHONSAFEPATH"] = before
 
 
 def _demo(args: Arguments) -> Any:
@@ -718,7 +733,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     _log_from(args.log_level)
     LOG.info("bayes_damper %s, %s, seed %s", _version(), args.command, args.seed)
     try:
-        with seldom_collected(), interrupts_passed_on(), _closed_afterwards(args):
+        with seldom_collected(), interrupts_passed_on(), _closed_afterwards(args), _nothing_of_this_folder_run():
             result = args.run(args)
     except BayesDamperError as error:
         said = "\n".join(gathered(error.faults)) if isinstance(error, InputError) else str(error)

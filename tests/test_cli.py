@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
+import os
 import re
 import shutil
 import subprocess
@@ -12,8 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from bayes_damper import cli
 from bayes_damper.cli import _parser, main
 from bayes_damper.commands.check import Check
+from bayes_damper.errors import InputError
 
 COMMANDS = next(a.choices for a in _parser()._actions if a.dest == "command")
 
@@ -256,3 +260,23 @@ def test_a_cell_of_a_logger_file_that_no_computer_holds_is_named_with_its_line(t
     source.write_text("\n".join(["t,x", *rows]), encoding="utf-8")
     assert main(["init", str(tmp_path / "rig"), str(source), "--primary-inertia", "0.003"]) == 2
     assert "line 102: '1111111111" in capsys.readouterr().err
+
+
+def test_processes_of_a_command_import_nothing_from_the_folder_in_which_it_runs(tmp_path, monkeypatch):
+    mark = tmp_path / "ran"
+    (tmp_path / "multiprocessing.py").write_text(f"open({str(mark)!r}, 'w')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    codes = []
+
+    def starts(_):
+        process = multiprocessing.get_context("spawn").Process(target=os.getpid)
+        process.start()
+        process.join(60)
+        codes.append(process.exitcode)
+        raise InputError("enough")
+
+    monkeypatch.setattr(cli, "_check", starts)
+    assert cli.main(["check", "thesis"]) == 2
+    assert not mark.exists()
+    assert codes == [0]
+    assert "PYTHONSAFEPATH" not in os.environ
