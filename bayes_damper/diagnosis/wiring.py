@@ -83,12 +83,14 @@ def miswired(nominal: Calibration) -> Wiring | None:
 def _fitted(nominal: Calibration, change: Callable[[Array], Array]) -> Calibration:
     problem = nominal.problem
     experiment: Experiment = problem.experiment
+
+    def moved(of_readings: Array | None) -> Array | None:
+        return None if of_readings is None else np.abs(change(of_readings))
+
     trials = tuple(
-        replace(
-            t, y=np.ascontiguousarray(change(t.y)), weight=None if t.weight is None else np.abs(change(t.weight))
-        )
+        replace(t, y=np.ascontiguousarray(change(t.y)), weight=moved(t.weight), spread=moved(t.spread))
         for t in experiment.trials
-    )  # fmt: skip
+    )
     again = problem.changed(experiment=replace(experiment, trials=trials), effect=None, factors=None)
     return calibrate(again, most=15, finish=False)
 

@@ -8,7 +8,7 @@ from small_rig import knock, measured
 
 from bayes_damper.calibration import Experiment, calibrate_nominal
 from bayes_damper.diagnosis import diagnose
-from bayes_damper.diagnosis.wiring import miswired
+from bayes_damper.diagnosis.wiring import _fitted, miswired
 from bayes_damper.effects import EFFECTS
 
 
@@ -68,3 +68,12 @@ def test_two_bodies_that_start_free_show_how_they_are_wired(change, words):
     ]
     found = miswired(calibrate_nominal(replace(whole, start="free", trials=tuple(cut))))
     assert (found is None) if words is None else (found is not None and words in found.words)
+
+
+def test_the_noise_of_a_channel_goes_with_its_readings():
+    fit = calibrate_nominal(measured(2, duration=0.15, repeats=2))
+    trials = [replace(t, spread=np.stack([np.full(t.times.size, k + 1.0) for k in range(len(t.y))]))
+              for t in fit.problem.experiment.trials]  # fmt: skip
+    own = fit.problem.changed(experiment=replace(fit.problem.experiment, trials=tuple(trials)))
+    exchanged = _fitted(replace(fit, problem=own), lambda y: y[::-1]).problem.experiment.trials
+    assert all(np.array_equal(new.spread, old.spread[::-1]) for new, old in zip(exchanged, trials, strict=True))
