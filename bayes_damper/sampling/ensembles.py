@@ -47,6 +47,7 @@ _MOST_ANEW = 2  # times that draws count as warm-up after all
 _CLOSE = 10.0  # autocorrelation time, steps, from which draws follow each other too closely for a good proposal
 _FEW = 10.0  # autocorrelation times that are few
 _LEARNT_FROM = 8000  # draws of a round, of all ensembles together
+_OF_EACH = 2000  # of these
 _EARNED = ((0.45, 0.9), (0.1, 0.7), (0.05, 0.45), (0.02, 0.15), (0.0, 0.03))
 """Weight of the learnt mixture in the mix of moves, by the least share of its draws that is accepted. Where nearly half
 are, two draws of it are worth more than two steps of any other move: all but a tenth are then drawn from it.
@@ -278,7 +279,8 @@ class _Run:
 
     def _begin_anew(self) -> None:
         """Counts the draws so far, which are far from enough, as warm-up: their proposal knew less than they do."""
-        self._learn(self.draws.reshape(-1, self.target.ndim))
+        every = max(1, self.draws[0, ..., 0].size // _OF_EACH)
+        self._learn(self.draws[:, ::every].reshape(-1, self.target.ndim))
         self.states = [
             replace(s, steps=s.steps + s.drawn, drawn=0, tried=0, taken=0, anew=s.anew + 1) for s in self.states
         ]
@@ -476,8 +478,10 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
     alike = state.last.size > 0 and _alike(state.last, figures)
     settled = steps >= max(_tuning(weight), _TAUS * ahead) if state.annealed else alike and len(chain) >= 3 * tau
     warm = (settled and state.weight > 0 and not lost) or steps >= _LONGEST_WARM_UP
-    # Beside the independent members of an annealed sample draws count by what they are worth.
-    every = math.ceil(tau) if state.annealed else max(1, len(flat) // _LEARNT_FROM)
+    if state.annealed:  # beside its independent members draws count by what they are worth
+        latest = flat[:: math.ceil(tau), :ndim]
+    else:  # all walkers, at steps far apart: every fourth or sixteenth of all draws would be of the same few walkers
+        latest = chain[:: -max(1, len(flat) // _OF_EACH), fine].reshape(-1, ndim)
     return replace(
         state,
         coords=coords,
@@ -489,7 +493,7 @@ def _after_round(state: _Ensemble, chain: Array, heights: Array, moves: list[Hal
         tau=ahead,
         last=figures,
         rounds=state.rounds + 1,
-        latest=flat[::every, :ndim],
+        latest=latest,
         reseated=state.reseated + len(lost),
     )
 

@@ -14,7 +14,7 @@ from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
 from bayes_damper.sampling.convergence import stranded_walkers
-from bayes_damper.sampling.ensembles import _fingerprint, _Run
+from bayes_damper.sampling.ensembles import _after_round, _fingerprint, _Run
 from bayes_damper.sampling.moves import fit_mixture
 from bayes_damper.sampling.sequential import Powers
 from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
@@ -314,6 +314,28 @@ def test_ensembles_propose_what_all_of_them_have_seen(tmp_path):
     arrays, _ = Checkpoint(tmp_path, {}).bound_to(_fingerprint(target, start, 1, 4, 64)).load()
     for i in range(1, 4):
         assert arrays[f"{i}.centres"].tobytes() == arrays["0.centres"].tobytes()
+
+
+def test_the_mixture_learns_from_all_walkers(monkeypatch):
+    """Of walkers that hardly move in 500 steps, every 16th draw of all would be of four of the 64 in each ensemble."""
+    target, start = bent_and_start()
+    run = _Run(target, start, 0, 4, 64, StoppingRule(), None, None, None)
+    rng = np.random.default_rng(0)
+    places = np.arange(64.0)[:, None] + 0.01 * rng.standard_normal((500, 64, 8))
+    heights = rng.standard_normal((500, 64))
+    learnt = []
+    monkeypatch.setattr(
+        "bayes_damper.sampling.ensembles.fit_mixture", lambda draws: (learnt.append(draws), fit_mixture(draws))[1]
+    )
+    run.states = [_after_round(s, places + 100.0 * i, heights, []) for i, s in enumerate(run.states)]
+    run._share()
+    run.draws = np.stack([places + 100.0 * i for i in range(4)])
+    run._begin_anew()
+    for draws in learnt:
+        owners, counts = np.unique(draws[:, 0].round(), return_counts=True)
+        assert owners.tolist() == [100.0 * i + w for i in range(4) for w in range(64)]
+        assert np.ptp(counts) == 0
+        assert 8000 <= len(draws) < 16000
 
 
 @pytest.mark.slow
