@@ -81,14 +81,19 @@ def spread_in_words(experiment: Experiment) -> list[str]:
 def _swing(experiment: Experiment, trial: TrialRecord) -> Array:
     """Rms of the readings over about a period around each, (channels, n)."""
     n = trial.times.size
-    known = np.isfinite(trial.y).astype(np.float64)
-    mean = np.nansum(trial.y, axis=1) / np.maximum(known.sum(axis=1), 1.0)
-    y = trial.y - mean[:, None]
     width = min(_period(experiment, trial), n)
-    window = np.ones(width)
-    rows = [(np.convolve(np.nan_to_num(r) ** 2, window, "same"), np.convolve(k, window, "same"))
-            for r, k in zip(y, known, strict=True)]  # fmt: skip
-    return np.sqrt([squares / np.maximum(count, 1.0) for squares, count in rows])
+    first = np.maximum(np.arange(n) - width // 2, 0)
+    last = np.minimum(np.arange(n) - width // 2 + width, n)
+
+    def within(x: Array) -> Array:
+        """Sum over the window around each reading; x (channels, n)."""
+        sums = np.concatenate([np.zeros((len(x), 1)), np.cumsum(x, axis=1)], axis=1)
+        return np.asarray(sums[:, last] - sums[:, first])
+
+    known = np.isfinite(trial.y)
+    mean = np.nansum(trial.y, axis=1) / np.maximum(known.sum(axis=1), 1)
+    squares = within(np.where(known, trial.y - mean[:, None], 0.0) ** 2)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) / np.maximum(within(known.astype(np.float64)), 1.0)))
 
 
 def _period(experiment: Experiment, trial: TrialRecord) -> int:
@@ -125,11 +130,6 @@ def _share_of_swing(fit: Calibration, swings: list[Array], channel: int) -> floa
     square, swing2, count = np.array(levels).T
     count *= 0.5 * ONE_LEVEL
     usual, most = float(np.average(square, weights=count)), float(swing2.max())
-    steps = [
-        resolution_of(t.y[channel][np.isfinite(t.y[channel])]) for t in problem.experiment.trials if channel < len(t.y)
-    ]
-    if float(np.median(steps)) > math.sqrt(usual):
-        return None  # what is rounded to steps shows no noise where it moves less than one
 
     def minus_log(variance: Array) -> float:
         return float(np.sum(count * (np.log(variance / usual) + square / variance)))
@@ -143,4 +143,7 @@ def _share_of_swing(fit: Calibration, swings: list[Array], channel: int) -> floa
     )
     if minus_log(np.full(square.size, usual)) - float(found.fun) < CLEARLY:
         return None
+    read = [t.y[channel] for t in problem.experiment.trials if channel < len(t.y)]
+    if float(np.median([resolution_of(y[np.isfinite(y)]) for y in read])) > math.sqrt(usual):
+        return None  # what is rounded to steps shows no noise where it moves less than one
     return math.exp(0.5 * (found.x[1] - found.x[0])) / math.sqrt(most)
