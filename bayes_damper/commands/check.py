@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import hashlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bayes_damper.errors import ExitCode
+from bayes_damper.campaign.head import read_head
+from bayes_damper.errors import ExitCode, InputError
+from bayes_damper.priors.files import load_priors
 from bayes_damper.published.sources import PublishedSource, source_of
 from bayes_damper.text import Printable
 
@@ -52,7 +55,10 @@ def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
     InputError
         with a sentence for every fault: file, line, column, what was expected, what to do.
     """
-    source = source_of(campaign)
+    try:
+        source = source_of(campaign)
+    except InputError as error:
+        raise InputError([*error.faults, *_faults_of_priors(Path(campaign))]) from None
     if isinstance(source, PublishedSource):
         cases, numbers = ", ".join(source.cases), len(source.published.measurements)
         text = f"{source.name}: cases {cases}; {numbers} published measurements (Augustine 2013)"
@@ -65,3 +71,18 @@ def check(campaign: str | Path, notes: Sequence[str] = ()) -> Check:
     lines = "\n".join([found.describe(), *(f"  warning: {note}" for note in notes)])
     follows = f"bayes-damper fit {shlex.quote(str(campaign))} --out results/fit"
     return Check(found.name, lines, (*found.warnings, *notes), found.sha256, follows)
+
+
+def _faults_of_priors(folder: Path) -> list[str]:
+    """Those of priors.toml in the folder of a campaign that cannot be read; its units are of the rig's kind."""
+    file = folder / "priors.toml"
+    if not file.exists():
+        return []
+    head = read_head(folder, [], hashlib.sha256())
+    if head is None or head.broken:
+        return [f"{file}: not read yet: campaign.toml must say first which units its entries have"]
+    try:
+        load_priors(file, kind=head.rig.kind, quantity=head.measurement.quantity, recorded=True)
+    except InputError as error:
+        return list(error.faults)
+    return []

@@ -859,3 +859,16 @@ def test_a_description_shows_the_declared_numbers_so_that_a_wrong_unit_is_seen(f
     assert "pressed together with 10.2 N, the weight of 1.04 kg" in load_campaign(folder).describe()
     edit(folder / "campaign.toml", "magnet_radius = 0.0127\n", 'normal_force = "constant"\n')
     assert "pressed together with 10.2 N\n" in load_campaign(folder).describe()
+
+
+def test_faults_of_priors_stand_beside_those_of_the_campaign(folder: Path) -> None:
+    edit(folder / FIRST, "\n0", "\nnothing,0\n0")
+    (folder / "priors.toml").write_text('[mu]\ndistribution = "lognormal"\nmedian = -0.1\n', encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        check(folder)
+    said = "\n".join(caught.value.faults)
+    assert "nothing" in said
+    assert "priors.toml: mu" in said
+    edit(folder / "campaign.toml", "[rig]", "[rig]\nkinds = 3")
+    with pytest.raises(InputError, match="not read yet"):
+        check(folder)
