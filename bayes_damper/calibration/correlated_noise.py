@@ -38,8 +38,9 @@ from bayes_damper.calibration import (
     whittle,
 )
 from bayes_damper.calibration.experiment import lone, repeats_by_reading
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.noise import rounding
-from bayes_damper.calibration.noise_level import TRUSTED, trust_of
+from bayes_damper.calibration.noise_level import TRUSTED
 from bayes_damper.runs.contents.fit import ChannelEntry, NoiseEntry
 
 Array = NDArray[np.float64]
@@ -277,7 +278,7 @@ def _described(
 ) -> FittedNoise:
     problem = fit.problem
     fast = sensor or rough_noise(problem.experiment, problem.trials).total
-    residuals, trust = fit.residuals(), trust_of(problem)
+    residuals, trust = fit.residuals(), trust_of(problem.groups)
     channels = []
     for c, used in enumerate(problem.noise.total):
         values, products = [], []
@@ -468,7 +469,7 @@ def _mean_residuals(fit: Calibration, channel: int) -> list[tuple[Array, Array]]
     """
     problem = fit.problem
     total = problem.noise.total
-    residuals, weights = fit.residuals(), trust_of(problem)
+    residuals, weights = fit.residuals(), trust_of(problem.groups)
     free = _left_free(fit, channel)
     out = []
     for members in repeats_by_reading(problem.experiment, problem.trials):

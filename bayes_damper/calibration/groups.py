@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -330,6 +330,11 @@ class Grouping:
             for name, sd in columns
             if released or name != RELEASE
         ]
+
+
+def trust_of(groups: Iterable[Group]) -> dict[int, Array]:
+    """How far each reading of the groups' trials is trusted, (channels, n): its weight were its noise as elsewhere."""
+    return {i: g.trust[k] for g in groups for k, i in enumerate(g.trials)}
 
 
 def _event_strength(y: Array, noise: Array) -> Array:

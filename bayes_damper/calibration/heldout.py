@@ -30,9 +30,8 @@ STANDS_OUT, MISSED = 4.0, 60.0  # cost per reading over the median trial's, and 
 class Prediction:
     """What a fit says about a trial that it has not seen, its own nuisances fitted.
 
-    model (channels, n), residual (channels, n) = reading - model, over the
-    spread of its noise (`TrialRecord.spread`), eta (m,), chi2: whitened and weighted; n_data:
-    weighted number of readings.
+    model (channels, n), residual (channels, n) = reading - model, over the spread of its noise (`TrialRecord.spread`),
+    eta (m,), chi2: whitened and weighted; n_data: weighted number of readings.
     """
 
     trial: int

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from bayes_damper.calibration.experiment import lone, repeats
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.least_squares import Calibration
 from bayes_damper.calibration.noise import Noise, fast_level, rounding
-from bayes_damper.calibration.problem import Problem
 
 Array = NDArray[np.float64]
 STEADY = 4.0  # steps of a clock, longest over shortest but for a tenth, up to which correlation is counted in readings
@@ -95,7 +95,7 @@ def learn_noise(fit: Calibration) -> Noise:
     if not lone(problem.experiment, problem.trials):
         return noise
     found = fit.residuals()
-    weights = trust_of(problem)
+    weights = trust_of(problem.groups)
     levels, sensors, white = [], [], []
     for c, total in enumerate(noise.total):
         kept = {i: _trusted(weights[i][c]) for i, r in found.items() if c < r.shape[0]}
@@ -109,11 +109,6 @@ def learn_noise(fit: Calibration) -> Noise:
         return noise
     zero = (0.0,) * len(levels)
     return Noise(tuple(levels), zero, zero, sensor=tuple(sensors))
-
-
-def trust_of(problem: Problem) -> dict[int, Array]:
-    """How far each reading of the fitted trials is trusted, (channels, n): its weight were its noise as all others'."""
-    return {i: g.trust[k] for g in problem.groups for k, i in enumerate(g.trials)}
 
 
 def _trusted(weights: Array) -> NDArray[np.bool_]:
@@ -149,7 +144,7 @@ def _unshared_noise(fit: Calibration) -> Noise:
     for i in problem.trials:
         t = e.trials[i]
         sets.setdefault(t.conditions, []).append(i)
-    weights = trust_of(problem)
+    weights = trust_of(problem.groups)
     innovation: list[float] = []
     phis: list[float] = []
     thetas: list[float] = []

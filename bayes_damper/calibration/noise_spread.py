@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from bayes_damper.calibration.experiment import Experiment, TrialRecord, repeats_by_reading
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.least_squares import Calibration
-from bayes_damper.calibration.noise_level import TRUSTED, trust_of
+from bayes_damper.calibration.noise_level import TRUSTED
 from bayes_damper.campaign.readings import resolution_of
 
 Array = NDArray[np.float64]
@@ -42,20 +43,16 @@ def with_spread(fit: Calibration) -> Experiment | None:
             spreads[c] = share
     if not spreads:
         return None
-    trials = []
-    for t, swing in zip(experiment.trials, swings, strict=True):
-        spread = np.ones(t.y.shape)
-        for c, share in spreads.items():
-            if c < len(spread):
-                spread[c] = np.sqrt(1.0 + (share * swing[c]) ** 2)
-        trials.append(replace(t, spread=spread))
-    for c in spreads:
-        fitted = [trials[i] for i in fit.problem.trials if c < len(trials[i].y)]
-        level = np.concatenate([t.spread[c][np.isfinite(t.y[c])] for t in fitted if t.spread is not None])
-        mean = math.sqrt(float(np.mean(level**-2.0)))
-        for t in trials:
-            if t.spread is not None and c < len(t.spread):
-                t.spread[c] *= mean
+    rows = [np.ones(t.y.shape) for t in experiment.trials]
+    for c, share in spreads.items():
+        having = [i for i, row in enumerate(rows) if c < len(row)]
+        for i in having:
+            rows[i][c] = np.sqrt(1.0 + (share * swings[i][c]) ** 2)
+        fitted = [rows[i][c][np.isfinite(experiment.trials[i].y[c])] for i in fit.problem.trials if i in having]
+        mean = math.sqrt(float(np.mean(np.concatenate(fitted) ** -2.0)))
+        for i in having:
+            rows[i][c] *= mean
+    trials = (replace(t, spread=row) for t, row in zip(experiment.trials, rows, strict=True))
     return replace(experiment, trials=tuple(trials))
 
 
@@ -105,7 +102,7 @@ def _period(experiment: Experiment, trial: TrialRecord) -> int:
 def _share_of_swing(fit: Calibration, swings: list[Array], channel: int) -> float | None:
     """What b is over s for a channel; None where one level describes it as well."""
     problem = fit.problem
-    residuals, trust = fit.residuals(), trust_of(problem)
+    residuals, trust = fit.residuals(), trust_of(problem.groups)
     levels: list[tuple[float, float, float]] = []  # square, of the swing, readings
     for members in repeats_by_reading(problem.experiment, problem.trials):
         having = [i for i in members if channel < len(residuals[i])]

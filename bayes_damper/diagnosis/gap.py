@@ -47,6 +47,7 @@ from bayes_damper.calibration import (
     unseeing,
     with_sizes_of_its_own,
 )
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.diagnosis.remainder import own_frequency
 from bayes_damper.diagnosis.response import on_trials
 from bayes_damper.diagnosis.shares import Closed, products
@@ -451,9 +452,7 @@ def _length(shapes: Mapping[int, Array], covariance: Sequence[Array]) -> float:
 
 
 def _masks(problem: Problem, trials: Sequence[int]) -> dict[int, NDArray[np.bool_]]:
-    return {
-        i: group.trust[k] > KEPT_WEIGHT for group in problem.grouped(tuple(trials)) for k, i in enumerate(group.trials)
-    }
+    return {i: trust > KEPT_WEIGHT for i, trust in trust_of(problem.grouped(tuple(trials))).items()}
 
 
 def _squares(residuals: Mapping[int, Array], masks: Mapping[int, NDArray[np.bool_]], noise: Sequence[float]) -> Array:

@@ -48,6 +48,7 @@ from bayes_damper.calibration import (
     simulated_once,
     value_and_slope,
 )
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.input_noise import followed
 from bayes_damper.calibration.least_squares import Essence, essence, restored
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
@@ -683,8 +684,7 @@ def squares_of(nominal: Calibration, fit: Calibration) -> float:
     inside = fit.residuals()
     return sum(
         float(np.nansum(np.square(inside[i] * w / sds[: len(w), None])))
-        for g in nominal.problem.grouped(nominal.problem.trials)
-        for i, w in zip(g.trials, g.trust, strict=True)
+        for i, w in trust_of(nominal.problem.grouped(nominal.problem.trials)).items()
     )
 
 

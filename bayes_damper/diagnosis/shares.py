@@ -34,6 +34,7 @@ from scipy.fft import dct, idct
 
 from bayes_damper.calibration import Calibration, Group, Noise, predict, unseeing
 from bayes_damper.calibration.experiment import repeats_by_reading
+from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
 from bayes_damper.runs.contents.diagnosis import Share
@@ -156,7 +157,7 @@ def products(
     problem = fit.problem
     trials = problem.experiment.trials
     groups = problem.grouped(tuple(heldout))
-    weights = {i: g.trust[k] for g in groups for k, i in enumerate(g.trials)}
+    weights = trust_of(groups)
     fitted_by_all = [j for j in problem.trials if all(j in fitted for fitted, _ in residuals)]
     alike = {i: s for s in repeats_by_reading(problem.experiment, [*fitted_by_all, *heldout]) for i in s}
     partners = {i: [j for j in alike[i] if j in fitted_by_all] for i in heldout}
