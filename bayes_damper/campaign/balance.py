@@ -33,6 +33,10 @@ _UNIT = 300.0  # times J2, which no other law of spring or friction looks like
 _FAINT = 0.2  # share explained that still gives an inertia to within its unit
 _FEWEST = 20.0  # readings in a natural period
 _ALIKE = 1.5  # times what the best lag leaves, up to which another one does as well
+_NEAR = np.linspace(-1.2, 1.2, 25)  # rad of the rig's oscillation by which channels are moved first
+_BEYOND = np.arange(1.3, 6.65, 0.1)  # and then, where that balances nothing
+_TRIED = 8  # trials of a case that are moved so far
+_NARROW = 0.5  # rad of it, to which lags that do as well as the best one are not listed
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
 _ALONE = 1.3  # readings over their own noise, up to which a channel shows nothing else
@@ -171,27 +175,76 @@ def _look_at_clock(
     as_declared : with an inertia near the declared one, while another one balances the channels without a lag.
     """
     omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
-    lags = np.linspace(-1.2, 1.2, 25) / omega
-    moved = [_balance(head, trials, float(lag), own_swing) for lag in lags]
-    best = max(range(lags.size), key=lambda k: 0.0 if moved[k] is None else moved[k].explained)  # type: ignore[union-attr]
-    there = moved[best]
-    if there is None or there.explained < _SHOWN or 1.0 - there.explained > 0.5 * (1.0 - found.explained):
+    near = _moved(head, trials, _NEAR / omega, own_swing)
+    best = _best(near)
+    if not _is_lag(best[1], found):
+        # Farther away a body that swings at one frequency can be balanced by many lags, if its inertia is as well.
+        if as_declared or (far := _far_lag(head, trials[:_TRIED], own_swing, near)) is None:
+            return False
+        near, best = far
+    elif as_declared and not _is_as_declared(head, best[1]):
         return False
-    declared = head.rig.secondary_inertia
-    if as_declared and declared is not None and not _OFF[0] < there.inertia / declared.value < _OFF[1]:
-        return False
-    late = bool(abs(lags[best]) * omega > _LATE)
+    late = abs(best[0]) * omega > _LATE
     if late:
-        bound = _ALIKE * (1.0 - there.explained)
-        alike = [1e3 * abs(lag) for lag, m in zip(lags, moved, strict=True) if m and 1.0 - m.explained < bound]
+        bound = _ALIKE * (1.0 - best[1].explained)
+        alike = [1e3 * abs(lag) for lag, m in near if 1.0 - m.explained < bound]
         least, most = min(alike), max(alike)
-        about = f"about {1e3 * abs(lags[best]):.2g}" if most < 1.5 * least else f"{least:.2g} to {most:.2g}"
+        narrow = most < 1.5 * least and 1e-3 * (most - least) * omega < _NARROW
+        about = f"about {_of_two(1e3 * abs(best[0]))}" if narrow else f"{_of_two(least)} to {_of_two(most)}"
         warnings.append(
             f"case {case}: the torques on both bodies add up to zero only if the second channel is {about} ms "
-            f"{'late' if lags[best] > 0.0 else 'early'}: see how the two channels are sampled, and move its readings "
+            f"{'late' if best[0] > 0.0 else 'early'}: see how the two channels are sampled, and move its readings "
             f"in time{otherwise}"
         )
     return late
+
+
+def _of_two(value: float) -> str:
+    """A number of two digits, without an exponent."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _far_lag(
+    head: Head, trials: Sequence[_Filtered], own_swing: float, near: Sequence[tuple[float, _Sum]]
+) -> tuple[list[tuple[float, _Sum]], tuple[float, _Sum]] | None:
+    """Lags of more than `_NEAR` that balance the channels with about the declared inertia, and the best of them.
+
+    None where there are none, or a smaller lag does nearly as well with any inertia, whichever sign the second channel
+    has: a lag of half a period and a reversed sign look alike.
+    """
+    omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
+    moved = _moved(head, trials, np.concatenate([-_BEYOND[::-1], _BEYOND]) / omega, own_swing)
+    far = [(lag, m) for lag, m in moved if _is_as_declared(head, m)]
+    if not far:
+        return None
+    best = _best(far)
+    turned = _moved(head, trials, _NEAR / omega, own_swing, sign=-1.0)
+    sure = all(_is_lag(best[1], m) for _, m in (*near, *turned))
+    return (far, best) if sure else None
+
+
+def _moved(
+    head: Head, trials: Sequence[_Filtered], lags: Array, own_swing: float, sign: float = 1.0
+) -> list[tuple[float, _Sum]]:
+    """The sum of torques for each lag (s) of the second channel that leaves readings enough."""
+    sums = ((float(lag), _balance(head, trials, float(lag), own_swing, sign)) for lag in lags)
+    return [(lag, m) for lag, m in sums if m is not None]
+
+
+def _best(moved: Sequence[tuple[float, _Sum]]) -> tuple[float, _Sum]:
+    """The lag that explains most."""
+    return max(moved, key=lambda m: m[1].explained, default=(0.0, _Sum(0.0, math.inf, 0.0)))
+
+
+def _is_lag(there: _Sum, here: _Sum) -> bool:
+    """Whether a sum that a lag gives is that of the torques, and leaves at most half of what another one does."""
+    return there.explained >= _SHOWN and 1.0 - there.explained <= 0.5 * (1.0 - here.explained)
+
+
+def _is_as_declared(head: Head, found: _Sum) -> bool:
+    """Whether the inertia that balances is about the declared one."""
+    declared = head.rig.secondary_inertia
+    return declared is None or _OFF[0] < found.inertia / declared.value < _OFF[1]
 
 
 def _is_copy(trial: Trial, head: Head, faults: list[str]) -> bool:

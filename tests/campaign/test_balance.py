@@ -126,6 +126,25 @@ def test_a_late_channel_that_another_inertia_would_balance_is_said_to_be_late(tm
     assert "add up to zero" not in remarks(tmp_path / "sound", second)
 
 
+@pytest.mark.parametrize("quantity", ["acceleration", "velocity"])
+@pytest.mark.parametrize("late", [40, 60, 100])
+def test_a_channel_that_is_late_by_up_to_a_period_is_said_to_be_late(tmp_path, quantity, late):
+    """A period of the primary on its spring is 108 ms."""
+    text = remarks(tmp_path / "c", lambda y: np.concatenate([np.zeros(late), y[1, :-late]]), quantity=quantity)
+    found = re.search(r"only if the second channel is (?:about (\d+)|(\d+) to (\d+)) ms late", text)
+    assert found, text
+    about, least, most = found.groups()
+    assert float(about or least) - 3.0 <= late <= float(about or most) + 3.0
+
+
+@pytest.mark.parametrize("factor", [-3.0, -2.0, -0.5, -0.3, 3.0])
+def test_another_scale_is_not_taken_for_a_channel_that_is_late(tmp_path, factor):
+    """A half of a period later a decay has changed its sign and become smaller."""
+    text = remarks(tmp_path / "c", lambda y: factor * y[1])
+    assert "ms late" not in text
+    assert "ms early" not in text
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
 def test_a_second_channel_that_is_turned_round_shows_by_the_sum_of_torques(tmp_path, monkeypatch, factor):
     """A weak coupling: after the release the second body hardly moves. A wrong inertia is not taken for that."""
