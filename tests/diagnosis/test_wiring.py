@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from small_rig import knock, measured
 
-from bayes_damper.calibration import Experiment, calibrate_nominal
+from bayes_damper.calibration import Experiment, TrialRecord, calibrate_nominal
 from bayes_damper.diagnosis import diagnose
-from bayes_damper.diagnosis.wiring import _fitted, miswired
+from bayes_damper.diagnosis.wiring import _rewired, miswired
 from bayes_damper.effects import EFFECTS
 
 
@@ -54,7 +55,7 @@ def test_a_rig_that_is_wired_rightly_is_not_doubted(size):
     ("change", "words"),
     [
         (lambda y: y, None),
-        (lambda y: y * np.array([[1.0], [-1.0]]), "channel 2 reversed"),
+        (lambda y: y * np.array([[1.0], [-1.0]]), "channel 1 or of channel 2 reversed"),
         (lambda y: y[::-1], "channels exchanged"),
     ],
     ids=["right", "reversed", "exchanged"],
@@ -70,10 +71,47 @@ def test_two_bodies_that_start_free_show_how_they_are_wired(change, words):
     assert (found is None) if words is None else (found is not None and words in found.words)
 
 
+def carts(flip: float) -> Experiment:
+    """One long decay of two carts on three springs by the matrix exponential, which start free in mid-swing."""
+    k1, k2, k3, c1, c2 = 40.0, 15.0, 10.0, 0.03, 0.04
+    stiff, damp = np.array([[k1 + k2, -k2], [-k2, k3 + k2]]), np.array([[c1 + c2, -c2], [-c2, c2]])
+    M = np.array([0.8, 0.6])[:, None]
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiff / M, -damp / M]])
+    times = np.arange(0.0, 18.0, 0.02)
+    step, state, y = expm(A * 0.02), np.array([0.03, 0.01, 0.0, 0.05]), []
+    for _ in times:
+        y.append(state[:2])
+        state = step @ state
+    y = np.array(y).T * np.array([[1.0], [flip]]) + 1e-4 * np.random.default_rng(1).standard_normal((2, times.size))
+    constants = {
+        "J1": (0.8, 0.02),
+        "J2": (0.6, 0.02),
+        "R": (1.0, 0.0),
+        "r": (1.0, 0.0),
+        "N0": (1.0, 0.0),
+        "k3t": (12.0, 4.0),
+    }
+    trial = TrialRecord("carts", "I", True, 1, times, y, 0, 0.0, 0.0)
+    return Experiment(
+        constants, ((41.0, 2.0),), (trial,), quantity="displacement", start="free", normal_force="constant"
+    )
+
+
+@pytest.mark.slow
+def test_one_long_record_of_two_carts_shows_a_reversed_sensor():
+    """Reversed, the nominal fit ends where no period of the record agrees, and its residuals are no noise."""
+    found = miswired(calibrate_nominal(carts(-1.0)))
+    assert found is not None
+    assert "channel 2 reversed" in found.words
+    assert found.after < 1e-4
+    assert found.gain > 30.0
+    assert miswired(calibrate_nominal(carts(1.0))) is None
+
+
 def test_the_noise_of_a_channel_goes_with_its_readings():
     fit = calibrate_nominal(measured(2, duration=0.15, repeats=2))
     trials = [replace(t, spread=np.stack([np.full(t.times.size, k + 1.0) for k in range(len(t.y))]))
               for t in fit.problem.experiment.trials]  # fmt: skip
     own = fit.problem.changed(experiment=replace(fit.problem.experiment, trials=tuple(trials)))
-    exchanged = _fitted(replace(fit, problem=own), lambda y: y[::-1]).problem.experiment.trials
+    exchanged = _rewired(own.experiment, lambda y: y[::-1]).trials
     assert all(np.array_equal(new.spread, old.spread[::-1]) for new, old in zip(exchanged, trials, strict=True))
