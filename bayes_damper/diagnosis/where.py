@@ -20,7 +20,8 @@ from scipy.special import fdtrc, stdtr
 from bayes_damper.calibration import Calibration
 from bayes_damper.calibration.experiment import lone, repeats_by_reading
 from bayes_damper.diagnosis.gap import noise_spread
-from bayes_damper.diagnosis.response import Motion, in_slices, motions, project, whiten
+from bayes_damper.diagnosis.remainder import own_frequency
+from bayes_damper.diagnosis.response import Motion, in_slices, motions, project_parts, whiten
 from bayes_damper.runs.contents.diagnosis import EventEntry, Place, PlaceEntry, WhereRecords
 
 Array = NDArray[np.float64]
@@ -32,7 +33,8 @@ CELLS = 6  # of phase space along each axis
 NOISE_SPREAD = 0.01  # relative standard deviation of the noise variance, at least
 MOST_ENTRIES = 12
 AT_ONCE = 2_000_000  # changed readings that responses to short torques are held of at a time
-EVENT_WIDTHS = (0.004, 0.012, 0.03)  # s
+EVENT_WIDTHS = (0.03, 0.09, 0.22)  # of the primary's period
+WIDEST_EVENT = 0.75  # of it
 EVENT = 8.0  # nats that a short torque gains at least
 
 
@@ -381,9 +383,11 @@ def find_event(fit: Calibration, moved: Sequence[Motion] | None = None) -> Event
     end = max(float(m.grid[-1]) for m in moved)
     coupled = any(m.group.coupled for m in moved)
     sites = ("ground1", "interface", "ground2") if coupled else ("ground1",)
-    looks = len(sites) * len(EVENT_WIDTHS) * end / 0.004
+    period = 1.0 / own_frequency(fit.problem.experiment)
+    looks = len(sites) * len(EVENT_WIDTHS) * end / (EVENT_WIDTHS[0] * period)
     best: tuple[float, float, float, str, float, float] | None = None
-    width = EVENT_WIDTHS[1]
+    step = max(float(np.median(np.diff(m.grid))) for m in moved)
+    width = max(EVENT_WIDTHS[1] * period, 2.0 * step)  # a narrower one falls between the readings
     coarse = np.arange(0.5 * width, end, 0.5 * width)
     for site in sites:
         gain, size, sd = _pulses(fit, moved, site, coarse, np.full(coarse.size, width))
@@ -396,7 +400,11 @@ def find_event(fit: Calibration, moved: Sequence[Motion] | None = None) -> Event
     reach = 0.5 * width
     for _ in range(4):
         instants = best[1] + reach * np.linspace(-1.0, 1.0, 7)
-        widths = np.unique(np.clip(best[2] * np.array([0.4, 0.7, 1.0, 1.4, 2.2]), 0.002, 0.1))
+        widths = np.unique(
+            np.clip(
+                best[2] * np.array([0.4, 0.7, 1.0, 1.4, 2.2]), 0.5 * EVENT_WIDTHS[0] * period, WIDEST_EVENT * period
+            )
+        )
         t, w = (x.ravel() for x in np.meshgrid(instants, widths))
         for site in sites:
             gain, size, sd = _pulses(fit, moved, site, t, w)
@@ -433,7 +441,7 @@ def _pulses_at_once(
     def responses(m: Motion) -> Array:
         h = np.gradient(m.grid)
         x = (m.grid[None] - instants[:, None]) / widths[:, None]
-        pulse = np.where(np.abs(x) < 0.5, np.cos(np.pi * x), 0.0)
+        pulse = np.cos(np.pi * x, where=np.abs(x) < 0.5, out=np.zeros_like(x))
         area = np.sum(pulse * h, axis=1, keepdims=True)
         pulse = np.where(area > 0.0, pulse / np.maximum(area, 1e-300), 0.0)
         q = np.broadcast_to(pulse, (m.th1.shape[0], *pulse.shape))
@@ -443,7 +451,8 @@ def _pulses_at_once(
             q1, q2 = np.zeros_like(q), None
         return whiten(fit, m.group, m.respond(q1, q2))
 
-    judged = project(fit, (responses(m) for m in moved))
+    # Each pulse is judged by itself.
+    judged = project_parts(fit, (responses(m) for m in moved), lambda _: None, lambda: range(instants.size)).on()
     length = np.diag(judged.gram)
     usable = length > 1e-6 * np.maximum(judged.raw, 1e-300)
     safe = np.where(usable & (length > 0.0), length, 1.0)

@@ -52,6 +52,23 @@ def test_a_knock_is_found_within_three_milliseconds(start, length):
     assert {"case", "trial", "channel", "start_s", "end_s"} <= set(first)
 
 
+def test_a_knock_of_a_rig_twenty_times_as_slow_is_found():
+    """All inertias 400 times as large: the same swings take twenty times as long, the knock half a second."""
+    start, length, times = 0.3, 0.025, 20.0
+    quick = measured(7, torque=knock(start, length, 0.02))
+    slow = replace(
+        quick,
+        constants={n: (v * times**2 if n in ("J1", "J2") else v, sd) for n, (v, sd) in quick.constants.items()},
+        trials=tuple(replace(t, times=t.times * times, y=t.y / times**2) for t in quick.trials),
+    )
+    event = find_event(calibrate_nominal(slow))
+    assert event is not None
+    assert event.site == "ground1"
+    assert event.start_s == pytest.approx(start * times, abs=0.06)
+    assert event.instant_s == pytest.approx((start + 0.5 * length) * times, abs=0.04)
+    assert event.impulse == pytest.approx(0.02 * length * times * 2.0 / np.pi, rel=0.15)
+
+
 def test_a_law_that_is_wrong_everywhere_is_no_local_event():
     fit = calibrate_nominal(measured(8, effect=variant("quadratic_drag"), values={"coefficient": 0.3}))
     event = find_event(fit)
