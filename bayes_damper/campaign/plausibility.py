@@ -137,6 +137,10 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             else f"{where}: {len(spikes)} single readings stick out, at {some} s{more}; they look like outliers"
         )
     offset = look.offset_of(trial.times, y, noise, omega, strongest)
+    if stuck is not None and offset:  # where it stands still it swings about nothing
+        first, last = held_for + stuck[0], held_for + stuck[1]
+        moves = slice(first) if first > y.size - last else slice(last, None)
+        offset = look.offset_of(trial.times[moves], y[moves], noise, omega)
     expected = _OF_DECLARED * declared[i] if declared is not None else 0.0  # fits infer it within that
     if abs(offset) > max(_OF_STEPS * step if step > noise else 0.0, expected):
         _tell_offset(head, trial, where, offset, warnings)

@@ -27,6 +27,7 @@ UNITS = (0.1, 0.01, 1e-3, 1e-4, 1e-5)  # s, that stamps are rounded to
 ROUNDED_OFF = 0.55  # of such a unit: half of it, and what a line through the stamps errs by
 SPIKE = 10.0  # noises by which a single reading leaves its neighbours
 OF_SCATTER, OF_ERROR = 0.15, 8.0  # of the scatter, and standard errors, beyond which a level of rest is not 0
+_LOST = 1.5  # usual steps, from which one shows that a reading is lost
 _HELD = 0.78  # of its peak: what is still further out half-way to the next crossing does not swing freely yet
 
 
@@ -369,17 +370,27 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float, stronge
 
     The last quarter, or two and a half periods (of what swings most, if that is slower than omega and the record holds
     as many), is averaged with a window that suppresses the oscillation itself. An offset shows when the mean is beyond
-    a seventh of the scatter there and beyond eight standard errors.
+    a seventh of the scatter there and beyond eight standard errors. Where readings are lost for longer than a quarter of
+    a period, an oscillation does not cancel, and shows no level.
 
     strongest : Hz, the `dominant_frequency` of the readings, where it is known
     """
     span = float(times[-1] - times[0])
     strongest = dominant_frequency(times, readings) if strongest is None else strongest
     slow = 2.5 / strongest if strongest > 2.5 / max(span, 1e-300) else 0.0
-    tail = readings[times >= times[-1] - max(0.25 * span, 5.0 * math.pi / omega, slow)]
+    inside = times >= times[-1] - max(0.25 * span, 5.0 * math.pi / omega, slow)
+    clock, tail = times[inside], readings[inside]
     if len(tail) < 8:
         return 0.0
-    mean, scatter = float(np.average(tail, weights=np.hanning(len(tail) + 2)[1:-1])), float(np.std(tail))
+    steps = np.diff(clock)
+    step = float(np.median(steps))
+    weights = np.hanning(len(tail) + 2)[1:-1]
+    if np.max(steps) > _LOST * step:
+        place = (clock - clock[0] + step) / (clock[-1] - clock[0] + 2.0 * step)
+        weights = (1.0 - np.cos(2.0 * math.pi * place)) * np.gradient(clock)
+    mean, scatter = float(np.average(tail, weights=weights)), float(np.std(tail))
+    if scatter > 5.0 * noise and np.max(steps) > max(0.5 * math.pi / omega, 3.0 * step):
+        return 0.0
     large = (tail - mean)[np.abs(tail - mean) > 0.5 * scatter]
     if scatter > 5.0 * noise and np.count_nonzero(np.diff(np.sign(large))) < 3:
         return 0.0  # less than two swings: the mean of a part of one is no level of rest

@@ -601,3 +601,30 @@ def test_a_sensor_that_stands_still_at_the_largest_motion_is_not_in_another_unit
     warnings = load_campaign(folder).warnings
     assert any("stands still at 0" in w for w in warnings)
     assert not [w for w in warnings if "the largest reading" in w]
+
+
+def test_readings_that_are_lost_make_no_level_of_rest():
+    """An oscillation cancels over time, not over readings; where a stretch of it is lost, it does not cancel."""
+    times = np.arange(0.0, 1.0, 1e-3)
+    y = 5.0 * np.exp(-1.5 * times) * np.cos(45.0 * times)
+    in_stretches = (times // 0.1) % 2 == 0
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(0.0, 0.03, times.size)
+        for kept in (rng.random(times.size) < 0.3, np.roll(in_stretches, 7 * seed)):
+            t, x = times[kept], (y + noise)[kept]
+            assert look.offset_of(t, x, look.noise_floor_of(x, t), 45.0) == 0.0
+        t = times[rng.random(times.size) < 0.5]
+        x = np.interp(t, times, y + noise + 0.8)
+        assert look.offset_of(t, x, 0.03, 45.0) == pytest.approx(0.8, abs=0.15)
+
+
+def test_a_sensor_that_stops_in_mid_swing_is_not_said_to_rest_there(tmp_path):
+    y, zero = noisy(1, swing(TIMES, 0.1, 0.1)), noisy(1, swing(TIMES, 0.1, 0.1)) + 0.02
+    peak = TIMES.size - 75 + int(np.argmax(y[-75:-45]))
+    for x in (y, zero):
+        x[peak : peak + 35] = x[peak]
+    found = cart(tmp_path / "stops", [y, noisy(2, swing(TIMES, 0.1, 0.1))])
+    assert any("stands still" in w for w in found)
+    assert not any("rests at" in w for w in found)
+    assert any("rests at" in w for w in cart(tmp_path / "zero", [zero, noisy(2, swing(TIMES, 0.1, 0.1))]))
