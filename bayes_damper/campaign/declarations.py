@@ -27,6 +27,9 @@ _FEWEST = 3.0  # swings that give a frequency
 _FIRST = 0.5  # rad of the primary's oscillation, in which the release shows and nothing has turned round
 _FREE, _LESS = 0.5, 0.6  # of a free primary's way that an exchanged channel goes, and of that what the other goes
 _APART = 0.1  # of the primary's displacement at the release: where dry friction stops a body is nearer, as a rule
+_LEAP, _FINE = 3.0, 0.5  # times the fastest motion that follows; radians of the oscillation from reading to reading
+_MOST = 2.5  # times the swing of a released primary, which none that is declared well enough exceeds
+_FARTHER = 1.2  # times as far as a channel of another scale goes, if its body goes as far as the primary
 _FEWEST_HELD = 3  # readings up to the release that show a rig at rest
 
 
@@ -63,20 +66,20 @@ def wiring_of(head: Head, trial: Trial) -> Literal["exchanged", "reversed", "fir
     found = _drives(head, trial)
     if found is None:
         return None
-    first, second, noise = found
+    first, second, least = found
     held = held_at(head, trial)
     if held is not None and trial.theta0 is not None:
         share = held / trial.theta0.value
         if abs(share[0]) < 0.5 * abs(share[1]) and 0.7 < share[1] < 1.4:
             return "exchanged"
         if share[0] > 0.0 and abs(share[1]) < 0.5 * share[0]:  # not released together: the primary draws it near
-            return "reversed" if first > 0.3 and second > max(0.02, 6.0 * noise) else None
+            return "reversed" if first > 0.3 and second > max(least, _FARTHER * share[1] * first) else None
     alike = second > _FREE > first and first < _LESS * second
-    if head.rig.ground2_stiffness.value == 0.0 and alike and not _is_cut_off(head, trial):
+    if head.rig.ground2_stiffness.value == 0.0 and alike and not (_is_cut_off(head, trial) or _is_beyond(head, trial)):
         return "exchanged"
     if first < -0.3:
         return "first reversed"
-    if first > 0.3 and second < -max(0.02, 6.0 * noise):
+    if first > 0.3 and second < -least:
         return "reversed"
     return "mirrored" if held is not None and abs(held[0] + held[1]) < _APART * abs(held[0]) else None
 
@@ -85,6 +88,25 @@ def _is_cut_off(head: Head, trial: Trial) -> bool:
     """Whether the first channel has flat tops, which hide how it begins."""
     y, omega = trial.channels[0], 2.0 * math.pi / natural_period(head.rig, trial)
     return bool(look.flat_tops_of(trial.times, y, look.noise_floor_of(y, trial.times), omega, False))
+
+
+def _is_beyond(head: Head, trial: Trial) -> bool:
+    """Whether the second channel goes farther than a released primary can, and has another scale."""
+    assert trial.theta0 is not None
+    y, power = trial.channels[1], DERIVATIVE[head.measurement.quantity]
+    reach = abs(trial.theta0.value) * (2.0 * math.pi / natural_period(head.rig, trial)) ** power
+    return float(np.quantile(np.abs(y), 0.998)) > _MOST * reach
+
+
+def frozen_for(trial: Trial, y: Array, omega: float) -> int:
+    """Equal readings with which a displacement begins that then leaps, as nothing does that is let go; else 0.
+
+    omega : rad/s of the rig; a record of few readings in its period has no leaps
+    """
+    speeds = np.abs(np.diff(y) / np.diff(trial.times))
+    count = int(np.argmax(speeds > 0.0)) + 1
+    leaps = look.STOPPED <= count < speeds.size and speeds[count - 1] > _LEAP * np.max(speeds[count:])
+    return count if leaps and omega * float(np.median(np.diff(trial.times))) < _FINE else 0
 
 
 def up_to_release(trial: Trial) -> NDArray[np.bool_]:
@@ -262,7 +284,7 @@ def _look_at_releases(first: Mapping[str, Trial], swings: Mapping[str, float], w
 
 
 def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
-    """How far each channel has gone after the release, over what a free primary does; and what noise makes of it.
+    """How far each channel has gone after the release, over what a free primary does; from where on that is no noise.
 
     1, 0: a primary without friction and a secondary that stays. None where that is unknown: an unknown release,
     a torque, inertias that are coupled, a record that begins too late or holds too few readings.
@@ -273,6 +295,8 @@ def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
         return None
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
     power = DERIVATIVE[head.measurement.quantity]
+    if power == 0 and any(frozen_for(trial, c, omega) for c in trial.channels):
+        return None
     reach = abs(trial.theta0.value) * omega**power
     held = [float(np.median(c[:3])) if power == 0 else 0.0 for c in trial.channels]
     onset = math.inf
@@ -293,5 +317,7 @@ def _drives(head: Head, trial: Trial) -> tuple[float, float, float] | None:
     size = float(np.mean(expected))
     sign = math.copysign(1.0, trial.theta0.value)
     gone = [-sign * float(np.mean(c[inside] - h)) / size for c, h in zip(trial.channels, held, strict=True)]
-    noise = look.noise_floor_of(trial.channels[1]) / size / math.sqrt(float(np.count_nonzero(inside)))
-    return gone[0], gone[1], noise
+    noise, count = look.noise_floor_of(trial.channels[1]) / size, float(np.count_nonzero(inside))
+    # Three readings say where a displacement was held, and are off by two thirds of the noise of one.
+    least = 4.0 * noise * math.sqrt(1.0 / count + 0.45) if power == 0 else 6.0 * noise / math.sqrt(count)
+    return gone[0], gone[1], max(0.02, least)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.campaign import readings as look
-from bayes_damper.campaign.declarations import held_at, up_to_release, wiring_of
+from bayes_damper.campaign.declarations import frozen_for, held_at, up_to_release, wiring_of
 from bayes_damper.campaign.head import Head, per_channel
 from bayes_damper.campaign.records import DERIVATIVE, USUAL_LAG, departure, picks
 from bayes_damper.campaign.structure import SHOWN, Trial, channel_columns, groups_of, natural_period
@@ -30,7 +30,6 @@ _OF_DECLARED = 3.0  # times offset_std
 _MISSING = 0.2  # share of the readings that are not there
 _RESTS = {"displacement": 1.0, "velocity": 0.5, "acceleration": 0.5}
 """Radians of the oscillation for which a primary must rest, so that it is held and not at a turning point."""
-_LEAP, _FINE = 3.0, 0.5  # times the fastest motion that follows; radians of the oscillation from reading to reading
 _SHORT = 0.8  # of the longest repeat's end, before which a record counts as ending early
 _BEGINS = {"displacement": 0.8, "velocity": 0.3, "acceleration": 0.4}
 """First readings of a release: a displacement is above this share of theta0, a velocity below this share of its
@@ -101,7 +100,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             "counts each reading several times; give the readings as they were measured"
         )
         return True
-    frozen = _frozen_for(trial, y, omega) if head.measurement.quantity == "displacement" else 0
+    frozen = frozen_for(trial, y, omega) if head.measurement.quantity == "displacement" else 0
     held_for = frozen or _held_for(head, trial, y)
     stuck = (-frozen, 0) if frozen else look.standstill_of(y[held_for:], step)
     if stuck is not None:
@@ -161,17 +160,6 @@ def _tell_offset(head: Head, trial: Trial, where: str, offset: float, warnings: 
             f"offset{held_off}: `init --offset tail` takes off what it reads at the end, offset_std under "
             "[measurement] of campaign.toml lets fits infer it"
         )
-
-
-def _frozen_for(trial: Trial, y: Array, omega: float) -> int:
-    """Equal readings with which a displacement begins that then leaps, as nothing does that is let go; else 0.
-
-    omega : rad/s of the rig; a record of few readings in its period has no leaps
-    """
-    speeds = np.abs(np.diff(y) / np.diff(trial.times))
-    count = int(np.argmax(speeds > 0.0)) + 1
-    leaps = look.STOPPED <= count < speeds.size and speeds[count - 1] > _LEAP * np.max(speeds[count:])
-    return count if leaps and omega * float(np.median(np.diff(trial.times))) < _FINE else 0
 
 
 def _held_for(head: Head, trial: Trial, y: Array) -> int:

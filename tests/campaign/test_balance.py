@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from campaigns import CAMPAIGN_TOML, J1, J2, decay, write_table
 from scipy.linalg import expm
 
 from bayes_damper.campaign import load_campaign
+from bayes_damper.campaign.declarations import wiring_of
 from bayes_damper.errors import InputError
 
 STEP, K1, K2 = 1e-3, 10.2, 1.2
@@ -20,13 +22,13 @@ C1, C2, C3 = 0.011, 0.06, 0.009
 
 
 def motion(quantity):
-    """Of both bodies, released together from 4.7 deg; (2, n) rad/s^2 or rad/s, by the matrix exponential."""
+    """Of both bodies, released together from 4.7 deg; (2, n) rad/s^2, rad/s or rad, by the matrix exponential."""
     stiffness = np.array([[K1 + K2, -K2], [-K2, K2]]) / np.array([[J1], [J2]])
     damping = np.array([[C1 + C2, -C2], [-C2, C3 + C2]]) / np.array([[J1], [J2]])
     whole = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
     step, state, found = expm(STEP * whole), math.radians(4.7) * np.array([1.0, 1.0, 0.0, 0.0]), []
     for _ in TIMES:
-        found.append((whole @ state)[2:] if quantity == "acceleration" else state[2:])
+        found.append({"acceleration": (whole @ state)[2:], "velocity": state[2:], "displacement": state[:2]}[quantity])
         state = step @ state
     return np.array(found).T
 
@@ -38,6 +40,7 @@ def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity
     """
     names, noise = {
         "acceleration": (["alpha1_rad_s2", "alpha2_rad_s2"], 0.5), "velocity": (["omega1_rad_s", "omega2_rad_s"], 0.02),
+        "displacement": (["theta1_rad", "theta2_rad"], 2e-4),
     }[quantity]  # fmt: skip
     rng = np.random.default_rng(4)
     (folder / "trials").mkdir(parents=True)
@@ -177,3 +180,34 @@ def test_a_wrong_inertia_is_not_called_missing(tmp_path, value):
         remarks(tmp_path / "c", second, type("Raw", (), {"__repr__": lambda _: value})())
     assert "missing" not in str(told.value)
     assert "secondary_inertia" in str(told.value)
+
+
+def test_velocities_of_a_scale_that_no_primary_has_are_not_called_exchanged(tmp_path, monkeypatch):
+    """Their noise is above the motion at first, and hides when it began."""
+    monkeypatch.setattr(sys.modules[__name__], "C2", 0.3)
+    text = remarks(tmp_path / "c", lambda y: 9.81 * y[1], quantity="velocity")
+    assert "exchanged" not in text
+    assert "the second channel reads" in text
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.45])
+def test_a_displacement_that_reads_a_part_is_not_called_reversed(tmp_path, monkeypatch, share):
+    """It stands where a body of its own may be held; turned round, it would go farther than the primary draws it."""
+    monkeypatch.setattr(sys.modules[__name__], "C2", 0.3)
+    text = remarks(tmp_path / "part", lambda y: share * y[1], quantity="displacement")
+    assert "the second channel reads" in text
+    assert "reversed" not in text
+
+
+def test_noise_of_the_first_readings_turns_no_channel_round(tmp_path):
+    """A second channel that is late stands still at first, where three readings say that it was held."""
+    remarks(tmp_path / "c", second, quantity="displacement")
+    campaign, rng = load_campaign(tmp_path / "c"), np.random.default_rng(1)
+    y = motion("displacement")
+    late = np.array([y[0], np.concatenate([np.full(10, y[1, 0]), y[1, :-10]])])
+    found = []
+    for changed in (late, y * [[1.0], [-1.0]]):
+        noisy = [replace(campaign.trials[0], channels=changed + rng.normal(0.0, 2e-4, y.shape)) for _ in range(1500)]
+        found.append([wiring_of(campaign, trial) for trial in noisy])
+    assert set(found[0]) == {None}
+    assert set(found[1]) <= {"reversed", "mirrored"}

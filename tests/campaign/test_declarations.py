@@ -230,3 +230,15 @@ def test_a_record_that_begins_before_a_hand_lifts_the_rig_is_said_to(tmp_path):
     assert "put t = 0 there and take off what is read before" in found
     assert "begins after the motion began" not in found
     assert "grows" not in carts(tmp_path / "sound", begin=HELD)
+
+
+def test_displacements_that_are_zero_until_the_logger_begins_are_not_called_exchanged(tmp_path):
+    """Then both leap to where the bodies are by then."""
+    for until in range(HELD + 20, HELD + 200, 20):
+
+        def change(y, until=until):
+            return np.where(np.arange(TIMES.size) < until, 0.0, y)
+
+        found = carts(tmp_path / str(until), change=change, begin=HELD)
+        assert "stands still at 0" in found
+        assert "exchanged" not in found
