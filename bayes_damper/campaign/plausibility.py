@@ -59,7 +59,7 @@ def look_at_trial(head: Head, trial: Trial, swings: float, warnings: list[str]) 
     omega = 2.0 * math.pi / natural_period(head.rig, trial)
     free = head.measurement.start == "free"
     alone = not trial.driven and (free or _begins_at_rest(head, trial))
-    grows = _growth(trial, None if free else 0.5 * omega / math.pi) if alone else []
+    grows = _growth(trial, 0.5 * omega / math.pi, free) if alone else []
     filled_in = [_look_at_channel(head, trial, i, omega, bool(grows), warnings) for i in range(len(trial.channels))]
     wiring = wiring_of(head, trial)
     if wiring == "exchanged":
@@ -181,12 +181,14 @@ def _begins_at_rest(head: Head, trial: Trial) -> bool:
     return float(np.median(sizes[:_FEW])) < 0.1 * held and float(np.max(sizes)) > _BEGINS["displacement"] * held
 
 
-def _growth(trial: Trial, released: float | None) -> list[str]:
+def _growth(trial: Trial, natural: float, free: bool) -> list[str]:
     """A sentence where a decay begins small and then grows: at rest, or in a hand, before it was let go.
 
-    released : of a release at t = 0 the frequency of the rig, Hz; None where the start is inferred
+    natural : frequency of the rig, Hz; free : whether the start is inferred, of a rig that may swing at another one
     """
-    frequency = released or look.dominant_frequency(trial.times, trial.channels[0])
+    frequency = look.dominant_frequency(trial.times, trial.channels[0]) if free else natural
+    if trial.coupled:  # such a rig comes to rest soon, and a hand may be what swings most
+        frequency = max(frequency, 0.5 * natural)
     if frequency == 0.0 or np.ptp(trial.times) < 3.0 / frequency:
         return []
     first = trial.times < trial.times[0] + 1.0 / frequency
@@ -196,7 +198,7 @@ def _growth(trial: Trial, released: float | None) -> list[str]:
     largest = float(trial.times[int(np.argmax(sizes[0]))])
     option = f"`init --release {look.release_option(trial.times, trial.channels[0])}`"
     cure = f'put t = 0 there and take off what is read before; or, with start = "free" and no theta0, {option}'
-    if released is None:
+    if free:
         cure = f'fits with start = "free" need a record of the decay alone: {option}, or take the first readings off'
     sentence = (
         f"{trial.file}: the motion grows until {largest:.4g} s: the rig rests, or a hand moves it, before it is let "

@@ -323,7 +323,8 @@ def _flat_by_spread(y: Array, top: float, noise: float, dt: float, omega: float,
     turn = 2.0 * math.acos(max(-1.0, 1.0 - width / top)) / (omega * dt)
     for a, b in _runs(y > top - width):
         inside = y[a + 2 : b - 2]
-        if (held_at_first and a == 0) or len(inside) < 8:
+        held = held_at_first and (a == 0 or np.min(y[:a]) > top - 2.0 * width)
+        if held or len(inside) < 8:
             continue
         slope = np.polyfit(np.arange(len(inside)), inside, 2)
         bow = abs(slope[0]) * (len(inside) / 2.0) ** 2
@@ -370,8 +371,8 @@ def offset_of(times: Array, readings: Array, noise: float, omega: float, stronge
 
     The last quarter, or two and a half periods (of what swings most, if that is slower than omega and the record holds
     as many), is averaged with a window that suppresses the oscillation itself. An offset shows when the mean is beyond
-    a seventh of the scatter there and beyond eight standard errors. Where readings are lost for longer than a quarter of
-    a period, an oscillation does not cancel, and shows no level.
+    a seventh of the scatter there and beyond eight standard errors. Where readings are lost for longer than a quarter
+    of a period, an oscillation does not cancel, and shows no level.
 
     strongest : Hz, the `dominant_frequency` of the readings, where it is known
     """

@@ -242,3 +242,22 @@ def test_displacements_that_are_zero_until_the_logger_begins_are_not_called_exch
         found = carts(tmp_path / str(until), change=change, begin=HELD)
         assert "stands still at 0" in found
         assert "exchanged" not in found
+
+
+@pytest.mark.parametrize("held", [0, 50])
+def test_two_bodies_that_a_hand_lifts_before_a_free_start_are_not_called_clipped(tmp_path, held):
+    """The lift is slower than the rig swings, which was taken for the rig's own frequency."""
+    lift = np.concatenate([np.zeros(300), np.linspace(0.0, 1.0, 100), np.ones(held)])
+
+    def change(y):
+        rng = np.random.default_rng(3)
+        return np.hstack([0.02 * lift + rng.normal(0.0, 2e-5, (2, lift.size)), y[:, HELD:]])[:, : TIMES.size]
+
+    def damped(x2, mm):
+        return decay(x2, mm) * np.exp(-8.0 * np.maximum(TIMES, 0.0))
+
+    found = carts(tmp_path / "lifted", change=change, start="free", rig=damped)
+    assert found.count("a hand moves it, before it is let go") == 3
+    assert "clipped" not in found
+    for x2 in (0.0, 1.0, -1.0):
+        assert "before it is let go" not in carts(tmp_path / f"free{x2}", x2, begin=HELD, start="free")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from campaigns import decay
 
-from bayes_damper.campaign.readings import find_first_peak, find_release
+from bayes_damper.campaign.readings import find_first_peak, find_release, flat_tops_of
 
 TIMES = np.arange(-200, 1200) / 1000.0
 
@@ -40,3 +40,12 @@ def test_a_reading_in_the_middle_is_a_crossing_too() -> None:
     y[times > 0.36] *= 1.3
     assert np.count_nonzero(y == 0.0) > 4
     assert find_first_peak(times, y) == pytest.approx(0.1, abs=0.01)
+
+
+def test_a_channel_that_is_held_at_first_is_not_clipped_whatever_its_noise():
+    """The first of its readings is not always among the largest."""
+    times = np.arange(1000) * 1e-3
+    for seed in range(200):
+        noise = np.random.default_rng(seed).normal(0.0, 2e-3, times.size)
+        y = np.where(times < 0.08, 1.0, np.exp(-3.0 * (times - 0.08)) * np.cos(45.0 * (times - 0.08))) + noise
+        assert flat_tops_of(times, y, 2e-3, 45.0, True) == []
