@@ -4,6 +4,9 @@ Figures are made for reports: readable in grey print and for colour-blind eyes (
 styles and markers that differ too), every axis with symbol and unit. Nothing is computed here but what drawing needs.
 """
 
+from bayes_damper.figures import _matplotlib as _matplotlib
+
+# isort: split
 from bayes_damper.figures.diagnosis import gap_figure as gap_figure
 from bayes_damper.figures.diagnosis import learnt_law_figure as learnt_law_figure
 from bayes_damper.figures.diagnosis import missing_torque_figure as missing_torque_figure

@@ -7,15 +7,14 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import bayes_damper.rig.unsteered_numba  # noqa: F401
+
+# isort: split
 from numba import njit
-from numba.core import config
 
 from bayes_damper.rig.cache_folder import distrusted
 
 _PACKAGE = Path(__file__).resolve().parents[1]
-# numba takes settings, the folder of machine code among them, from a file of this name in whatever folder it runs in.
-config._config_fname = ""  # noqa: SLF001
-config.reload_config()  # type: ignore[no-untyped-call]
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -8,6 +8,9 @@ Every function takes and gives floats. Each states its error, and is tested agai
 
 from __future__ import annotations
 
+import bayes_damper.rig.unsteered_numba  # noqa: F401
+
+# isort: split
 from typing import Any
 
 from llvmlite import ir

@@ -8,7 +8,6 @@ of `bayes_damper.sampling`, kept in the attributes of the posterior's variables.
 
 from __future__ import annotations
 
-import importlib
 import io
 import math
 import os
@@ -27,6 +26,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.errors import as_written
 from bayes_damper.inputs import check_hdf5
+from bayes_damper.runs.surroundings import unsteered
 from bayes_damper.sampling.convergence import diagnose_draws
 
 if TYPE_CHECKING:
@@ -46,13 +46,13 @@ def imported(name: str) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FutureWarning)
         try:
-            return importlib.import_module(name)
+            return unsteered(name)
         except OSError:
             own = os.environ.get("XDG_CACHE_HOME")
             with TemporaryDirectory() as folder:
                 os.environ["XDG_CACHE_HOME"] = folder
                 try:
-                    return importlib.import_module(name)
+                    return unsteered(name)
                 finally:
                     os.environ.pop("XDG_CACHE_HOME") if own is None else os.environ.update(XDG_CACHE_HOME=own)
 
@@ -126,7 +126,7 @@ def pareto_k(weights: Array) -> float:
     if np.ptp(weights) < 1e-9 * top:
         return -math.inf
     # ArviZ weighs by 1/exp(its argument): it takes log likelihoods of data to be left out.
-    smooth = importlib.import_module("arviz_stats.base").array_stats.psislw
+    smooth = imported("arviz_stats.base").array_stats.psislw
     try:
         k = float(smooth(-np.log(np.maximum(weights / top, 1e-300)))[1])
     except ValueError:  # the largest weights are all the same

@@ -12,6 +12,9 @@ This leans on internals of numba and llvmlite, which are imported where they are
 
 from __future__ import annotations
 
+import bayes_damper.rig.unsteered_numba  # noqa: F401
+
+# isort: split
 import inspect
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -8,6 +8,9 @@ the machine code depends on, and nothing of this file but the signatures and opt
 
 from __future__ import annotations
 
+import bayes_damper.rig.unsteered_numba  # noqa: F401
+
+# isort: split
 import gc
 import hashlib
 import inspect

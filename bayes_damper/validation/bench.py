@@ -8,6 +8,9 @@ One row more has the same rig under a swept torque, held against scipy.
 
 from __future__ import annotations
 
+import bayes_damper.rig.unsteered_numba  # noqa: F401
+
+# isort: split
 import inspect
 import math
 import platform
