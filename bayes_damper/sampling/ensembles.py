@@ -34,6 +34,7 @@ from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrela
 from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
 from bayes_damper.sampling.start import Start, cloud
+from bayes_damper.sampling.straightening import Straightened, Straightening, straightening
 
 Array = NDArray[np.float64]
 
@@ -144,6 +145,7 @@ class _Ensemble:
     shares: Array = field(default_factory=lambda: np.empty(0))  # of the mixture that was learnt
     centres: Array = field(default_factory=lambda: np.empty(0))
     spreads: Array = field(default_factory=lambda: np.empty(0))
+    knots: Array = field(default_factory=lambda: np.empty(0))  # of the coordinates that it was learnt in, if others
     tau: float = 1.0  # what is to be expected of the draws
     last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
     rounds: int = 0
@@ -231,7 +233,7 @@ class _Run:
         self.capacity = 4 * _BLOCK * max(2, int(_MEMORY / (8 * ensembles * walkers * (target.ndim + 1)) / (4 * _BLOCK)))
         saved = checkpoint.load() if checkpoint is not None else None
         if saved is None:
-            learnt = fit_mixture(start.population) if len(start.population) else None
+            learnt = _learnt(start.population) if len(start.population) else {}
             self.states = [_begin(target, start, seed, e, walkers, learnt) for e in range(ensembles)]
             self.draws = np.empty((ensembles, 0, walkers, target.ndim))
             self.log_prob = np.empty((ensembles, 0, walkers))
@@ -273,9 +275,8 @@ class _Run:
 
     def _learn(self, draws: Array) -> None:
         """Gives all ensembles the mixture that draws (n, ndim) show."""
-        shares, centres, spreads = fit_mixture(draws[:: max(1, len(draws) // _LEARNT_FROM)])
-        spreads = spreads + np.eye(draws.shape[1]) * 1e-300
-        self.states = [replace(s, shares=shares, centres=centres, spreads=spreads) for s in self.states]
+        learnt = _learnt(draws[:: max(1, len(draws) // _LEARNT_FROM)])
+        self.states = [replace(s, **learnt) for s in self.states]
 
     def _begin_anew(self) -> None:
         """Counts the draws so far, which are far from enough, as warm-up: their proposal knew less than they do."""
@@ -408,18 +409,22 @@ class _Run:
             self.save()
 
 
-def _begin(
-    target: Target, start: Start, seed: int, ensemble: int, walkers: int, learnt: tuple[Array, Array, Array] | None
-) -> _Ensemble:
-    """An ensemble at its start, with a generator of its own; `learnt` is a mixture that resembles the target."""
+def _learnt(draws: Array) -> dict[str, Any]:
+    """What a state holds of the mixture that draws (n, ndim) show, in straight coordinates where that is worth it."""
+    through = straightening(draws)
+    shares, centres, spreads = fit_mixture(draws if through is None else through.straight(draws)[0])
+    spreads = spreads + np.eye(draws.shape[1]) * 1e-300
+    knots = np.empty(0) if through is None else through.knots
+    return {"shares": shares, "centres": centres, "spreads": spreads, "knots": knots}
+
+
+def _begin(target: Target, start: Start, seed: int, ensemble: int, walkers: int, learnt: dict[str, Any]) -> _Ensemble:
+    """An ensemble at its start, with a generator of its own; `learnt`: of a mixture like the target, if any."""
     child = np.random.SeedSequence(seed).spawn(ensemble + 1)[ensemble]
     coords, log_prob = cloud(target, start, walkers, np.random.default_rng(child))
     random = np.random.RandomState(np.random.MT19937(child.spawn(1)[0])).get_state(legacy=True)
     state = _Ensemble(coords, log_prob, _packed(random))
-    if learnt is None:
-        return state
-    shares, centres, spreads = learnt
-    return replace(state, annealed=True, shares=shares, centres=centres, spreads=spreads, weight=0.3)
+    return replace(state, annealed=True, weight=0.3, **learnt) if learnt else state
 
 
 def _advance(target: Target, state: _Ensemble, thin: int) -> tuple[_Ensemble, Array, Array]:
@@ -534,9 +539,12 @@ def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
     if state.weight > 0:
         learnt = (state.shares, state.centres, state.spreads)
         near = 0.0 if state.weight > _ALL_BUT_SURE else 0.5 * state.weight
-        if near > 0:
-            mix.append((Nearby(*learnt), near))
-        mix.append((Independence(*learnt), state.weight - near))
+        of_mixture: list[tuple[HalvesMove, float]] = [(Nearby(*learnt), near)] if near > 0 else []
+        of_mixture.append((Independence(*learnt), state.weight - near))
+        if state.knots.size:
+            through = Straightening(state.knots)
+            of_mixture = [(Straightened(move, through), share) for move, share in of_mixture]
+        mix += of_mixture
     return mix
 
 

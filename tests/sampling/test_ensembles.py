@@ -14,10 +14,11 @@ from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
 from bayes_damper.sampling.convergence import stranded_walkers
-from bayes_damper.sampling.ensembles import _after_round, _fingerprint, _Run
+from bayes_damper.sampling.ensembles import _after_round, _fingerprint, _moves, _Run
 from bayes_damper.sampling.moves import fit_mixture
 from bayes_damper.sampling.sequential import Powers
 from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
+from bayes_damper.sampling.straightening import Straightened
 
 
 class Gaussian:
@@ -314,6 +315,34 @@ def test_ensembles_propose_what_all_of_them_have_seen(tmp_path):
     arrays, _ = Checkpoint(tmp_path, {}).bound_to(_fingerprint(target, start, 1, 4, 64)).load()
     for i in range(1, 4):
         assert arrays[f"{i}.centres"].tobytes() == arrays["0.centres"].tobytes()
+
+
+class Skewed:
+    """Gamma variables of shape 1.2 in eight coordinates."""
+
+    ndim = 8
+    names = tuple(f"p{i}" for i in range(8))
+
+    def __call__(self, points):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            heights = (0.2 * np.log(points) - points).sum(axis=1)
+        return np.where((points > 0.0).all(axis=1), heights, -np.inf)
+
+
+@pytest.mark.slow
+def test_skewed_targets_are_proposed_in_straight_coordinates_which_a_state_keeps(tmp_path):
+    """Half of the draws are accepted; of a mixture in the coordinates themselves a fifth."""
+    target = Skewed()
+    start = Start(np.ones(8), 0.3 * np.eye(8), float(target(np.ones((1, 8)))[0]), 1)
+    result = sample(target, start, seed=1, checkpoint=Checkpoint(tmp_path, {}))
+    assert result.converged, result.verdict.sentences
+    assert result.acceptance.min() > 0.45
+    assert result.flat().mean(axis=0) == pytest.approx(np.full(8, 1.2), rel=0.06)
+    assert result.flat().var(axis=0) == pytest.approx(np.full(8, 1.2), rel=0.15)
+    checkpoint = Checkpoint(tmp_path, {}).bound_to(_fingerprint(target, start, 1, 4, 64))
+    again = _Run(target, start, 1, 4, 64, StoppingRule(), checkpoint, None, None)
+    assert all(state.knots.shape == (14, 8) for state in again.states)
+    assert all(isinstance(move, Straightened) for move, _ in _moves(again.states[0])[3:])
 
 
 def test_the_mixture_learns_from_all_walkers(monkeypatch):
