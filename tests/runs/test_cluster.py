@@ -21,7 +21,7 @@ from bayes_damper.runs.parallel_map import can_fork, forked_map
 from bayes_damper.sampling import StoppingRule, sample
 
 TASKS = """
-import multiprocessing, time
+import multiprocessing, os, signal, time
 from bayes_damper.runs.parallel_map import forked_map
 
 def forks(folder, report):
@@ -31,6 +31,16 @@ def waits(folder, report):
     (folder / "begun").touch()
     time.sleep(60)
     return []
+
+def killed_once(folder, report):
+    first = not (folder / "begun").exists()
+    (folder / "begun").touch()
+    if first:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [multiprocessing.current_process().name]
+
+def killed(folder, report):
+    os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
@@ -90,6 +100,26 @@ def test_tasks_on_a_cluster_may_ask_for_processes(cluster, tmp_path):
 
     address, _ = cluster
     assert run_tasks([Task("a", cluster_tasks.forks)], tmp_path / "out", scheduler=address) == {"a": [True, 1, 2]}
+
+
+@pytest.mark.slow
+def test_the_task_of_a_worker_that_is_killed_is_done_again(cluster, tmp_path):
+    import cluster_tasks
+
+    address, _ = cluster
+    tasks = [Task("a", cluster_tasks.killed_once), Task("b", cluster_tasks.forks)]
+    found = run_tasks(tasks, tmp_path / "out", scheduler=address)
+    assert set(found) == {"a", "b"}
+    assert found["b"] == [True, 1, 2]
+
+
+@pytest.mark.slow
+def test_a_task_whose_workers_are_killed_each_time_is_a_sentence(cluster, tmp_path):
+    import cluster_tasks
+
+    address, _ = cluster
+    with pytest.raises(BayesDamperError, match=r"gave up a \(KilledWorker\).*go on with: bayes-damper resume"):
+        run_tasks([Task("a", cluster_tasks.killed)], tmp_path / "out", scheduler=address)
 
 
 @pytest.mark.slow

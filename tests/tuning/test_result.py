@@ -803,6 +803,22 @@ def test_an_effect_that_tuning_leaves_out_is_named(tmp_path):
     assert sentence in report(tmp_path / "tune").path.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize("effect", ["own", "own:f"])
+def test_own_effects_that_a_results_folder_names_are_not_run(tmp_path, monkeypatch, effect):
+    """Whoever sent the folder may have written them."""
+    fit, ran = fitted_folder(tmp_path), tmp_path / "ran"
+    (fit / "effects").mkdir()
+    for place in (fit / "own.py", fit / "effects" / "own.py"):
+        place.write_text(f"open({str(ran)!r}, 'w').close()\n")
+    run = json.loads((fit / "run.json").read_text())
+    run["plan"] |= {"effect": effect, "effects": "effects/", "effects_sha256": "0" * 64}
+    write_json(fit / "run.json", run)
+    monkeypatch.chdir(fit)
+    found = tuning.tune(fit, case="IV", amplitudes=(), optimise=False, n_draws=10, out=tmp_path / "tune")
+    assert f"The fit has the effect {effect} too, which is left out here: only effects of the library" in found.text()
+    assert not ran.exists()
+
+
 def law_file(folder, terms, site="ground1", fast=8.0):
     """The file of a law over angles of 0.2 rad and velocities up to `fast` rad/s."""
     law = Law(
