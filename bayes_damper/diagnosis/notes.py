@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from bayes_damper.calibration import Calibration, Experiment
-from bayes_damper.calibration.cases import damping_in_words
+from bayes_damper.calibration.cases import by_case_in_words, damping_in_words
 from bayes_damper.calibration.noise_spread import spread_in_words
 from bayes_damper.calibration.scatter import odd_values_in_words, scatter_in_words
 from bayes_damper.campaign.records import DERIVATIVE
@@ -50,6 +50,7 @@ def notes_on(
     notes += [
         *damping_in_words(judged),
         *scatter_in_words(judged),
+        *by_case_in_words(judged, missing=answers.verdict == "unknown"),
         *odd_values_in_words(judged),
         *unlike_in_words(judged),
         *symmetries(experiment),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Experiment, calibrate, calibrate_nominal, learn_noise, middle
-from bayes_damper.calibration.cases import one_damping_in_words
+from bayes_damper.calibration.cases import by_case_in_words, one_damping_in_words
 from bayes_damper.calibration.correlated_noise import FittedNoise, fit_with_noise
 from bayes_damper.calibration.experiment import trial_label
 from bayes_damper.calibration.influence import comparison, influence, without
@@ -114,7 +114,7 @@ def _fitted(folder: Path, report: Report, name: str, plan: FitPlan) -> CaseEntry
         *scatter_in_words(best),
         *unseen_in_words(best),
     ]
-    entry["sentences"] += [*odd_values_in_words(best), *one_damping_in_words(best)]
+    entry["sentences"] += [*odd_values_in_words(best), *one_damping_in_words(best), *by_case_in_words(found)]
     entry |= _trials_apart(experiment, noise, labels, plan.get("noise", "auto"))
     entry["prior_sensitivity"] = of_standard_draws(posterior.names, sampling.flat(4 * KEPT_DRAWS))
     report(0.8, "influence of each trial done; next: evidence, files, figures")

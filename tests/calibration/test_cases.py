@@ -6,11 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import small_rig
+from scipy.stats import f_oneway
 from small_rig import measured, variant
 
 from bayes_damper.calibration import Problem, calibrate, calibrate_nominal
 from bayes_damper.calibration.cases import (
+    _Means,
+    by_case_in_words,
     damping_in_words,
+    differing_by_case,
     one_damping_in_words,
     with_damping_of_each_case,
     with_own_in_each_case,
@@ -123,6 +127,9 @@ def test_the_parameter_that_differs_from_case_to_case_is_asked_for():
     values = re.search(r"c1t for each case .*: (\S+) in case low, (\S+) in case high", said).groups()
     assert [float(x) for x in values] == pytest.approx([0.011, 0.02], rel=0.15)
     assert differing_in_words(fit, 1e6) == []
+    (said,) = by_case_in_words(fit)
+    assert said.startswith("c1t differs from case to case: above that of case low by ")
+    assert said.endswith('write `c1t = { level = "case" }` in the file of --priors.')
 
 
 def test_the_linearised_gain_of_a_value_for_each_case_is_that_of_the_fit():
@@ -130,3 +137,62 @@ def test_the_linearised_gain_of_a_value_for_each_case_is_that_of_the_fit():
     fit = calibrate_nominal(damped(1.1 * DAMPING["I"]))
     own = with_own_in_each_case(fit, "c1t")
     assert gains_by_case(fit)["c1t"] == pytest.approx(0.5 * (fit.cost - own.cost), rel=0.3)
+
+
+SPRINGS = {"A": (0.0, 0.1), "B": (-0.006, 0.07), "C": (-0.015, 0.05)}  # by what share they differ, and the swing
+
+
+def on_springs(differ, seed=1, declared=0.01, repeats=4, names="ABC"):
+    """Trials of the primary alone, each spring seated anew by 0.1 %; differ : factor on what cases differ by."""
+    rng, trials = np.random.default_rng(seed), []
+    for case in names:
+        share, swing = SPRINGS[case]
+        for number in range(1, repeats + 1):
+            own = 6.2 * (1.0 + differ * share + 1e-3 * rng.standard_normal())
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(small_rig, "STIFFNESSES", (own,))
+                one = measured(int(rng.integers(1e6)), cases=((case, 0, swing),), configurations=(False,), repeats=1)
+            t = one.trials[0]
+            trials.append(replace(t, label=f"{case} {number}", number=number, theta0_sd=0.01 * swing))
+    return replace(one, stiffnesses=((6.2, declared * 6.2),), trials=tuple(trials))
+
+
+def test_cases_that_share_a_spring_and_should_not_are_named():
+    fit = calibrate_nominal(on_springs(1.0))
+    (apart,) = differing_by_case(fit)
+    assert apart.name == "k1t"
+    (values,) = apart.values
+    for case, (share, _) in SPRINGS.items():
+        assert values[case] - values["A"] == pytest.approx(share, abs=0.0025)
+    (said,) = by_case_in_words(fit)
+    assert said.startswith("k1t differs from case to case: above that of case C by ")
+    assert "Cases that declare the same k1t share one spring." in said
+    assert "the model lacks" not in said
+    assert "the model lacks" in by_case_in_words(fit, missing=True)[0]
+
+
+@pytest.mark.parametrize(("differ", "seed"), [(0.3, 2), (0.0, 3)])
+def test_the_test_of_cases_is_the_plain_one_where_trials_show_their_springs(differ, seed):
+    """Each trial shows its own spring far better than springs differ: then it is the F test of these values."""
+    fit = calibrate_nominal(on_springs(differ, seed, repeats=6 if differ else 4))
+    (group,) = fit.problem.groups
+    column = [name for name, _, _ in group.nuisances].index("ln_k1t")
+    own = {case: [] for case in SPRINGS}
+    for i in group.trials:
+        own[fit.problem.experiment.trials[i].case].append(fit.eta[i][column])
+    p = _Means.of(fit).tested("k1t", [])
+    assert np.log(p) == pytest.approx(np.log(f_oneway(*own.values()).pvalue), rel=0.2, abs=0.3)
+    assert bool(differing_by_case(fit)) is (differ > 0.0)
+
+
+def test_cases_that_declare_springs_of_their_own_need_no_note():
+    one = on_springs(1.0)
+    apart = tuple(replace(t, k1t="ABC".index(t.case)) for t in one.trials)
+    fit = calibrate_nominal(replace(one, trials=apart, stiffnesses=tuple((6.2 + 1e-3 * k, 0.06) for k in range(3))))
+    assert differing_by_case(fit) == []
+    values = [fit.parameters[f"k1t[{6.2 + 1e-3 * k:g}]"][0] for k in range(3)]
+    assert values[2] / values[0] - 1.0 == pytest.approx(SPRINGS["C"][0], abs=0.0025)
+
+
+def test_without_repeats_nothing_shows_what_differs_within_a_case():
+    assert differing_by_case(calibrate_nominal(on_springs(1.0, repeats=1))) == []
