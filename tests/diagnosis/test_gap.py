@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from scipy.stats import norm
 from small_rig import NOISE, measured, variant
 
-from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nominal, coordinate_of
+from bayes_damper.calibration import Problem, Switches, calibrate, calibrate_nominal, coordinate_of, predict
 from bayes_damper.diagnosis.gap import (
     _by_trials,
     _length,
@@ -20,6 +20,7 @@ from bayes_damper.diagnosis.gap import (
     measure_gap,
     repeats_say,
     shifts,
+    taken_up,
     unshared_along,
 )
 
@@ -184,6 +185,23 @@ def test_a_short_campaign_without_a_sign_cannot_exclude_a_gap():
     assert gap.answer == "cannot tell"
     as_large = f"{float(f'{gap.upper_rms:.2g}'):g}"
     assert f"show no gap, but one as large as {as_large} times the sensor noise could hide in them: add" in gap.why
+
+
+def test_what_values_of_each_trials_own_take_up_is_not_said_to_be_no_gap():
+    """All rest angles are declared ten standard deviations too large: own angles, and gains, take that up."""
+    e = measured(3, configurations=(False,))
+    sound = calibrate_nominal(e)
+    assert taken_up(sound, predict(sound, e.heldout)) == {}
+    wrong = replace(e, trials=tuple(replace(t, theta0=1.1 * t.theta0, theta0_sd=0.01 * t.theta0) for t in e.trials))
+    fit = calibrate_nominal(wrong)
+    assert set(taken_up(fit, predict(fit, e.heldout))) <= {"theta0", "gain1"}
+    gap = measure_gap(fit)
+    assert gap.p_value > 0.05
+    assert gap.nominal_rms < 1.2 * gap.noise_rms
+    assert gap.answer == "cannot tell"
+    off = float(re.search(r"theta0 ([+-]\d+)", gap.why).group(1))
+    assert -11.0 < off < -5.0
+    assert "it does not see a gap that they take up" in gap.why
 
 
 def slow_errors(seed, width=20.0):
