@@ -39,6 +39,7 @@ _TRIED = 8  # trials of a case that are moved so far
 _NARROW = 0.5  # rad of it, to which lags that do as well as the best one are not listed
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
+_OFF_BY = np.linspace(-3.0, 3.0, 7)  # standard deviations of the spring from the secondary to ground
 _ALONE = 1.3  # readings over their own noise, up to which a channel shows nothing else
 
 
@@ -332,7 +333,8 @@ def _is_reversed(found: _Sum | None, declared: float) -> bool:
 def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float, sign: float = 1.0) -> _Sum | None:
     """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
 
-    own_swing : k1t/J1 as uncoupled trials show it, over the declared one; sign : of the second channel.
+    own_swing : k1t/J1 as uncoupled trials show it, over the declared one; sign : of the second channel. Of a spring
+    from the secondary to ground whose stiffness is uncertain, that is taken which balances best.
 
     None where the records hold too little.
     """
@@ -341,17 +343,23 @@ def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: flo
     rig = head.rig
     rows: list[Array] = []
     targets: list[Array] = []
+    angles: list[Array] = []
     for filtered in trials:
         (th1, w1, a1), (th2, w2, a2) = filtered.first, (sign * x for x in filtered.second(lag))
         beside = rig.inertial_coupling.value
         mine = (rig.primary_inertia.value + beside) * a1 + own_swing * filtered.trial.k1t.value * th1
-        targets.append(mine + beside * a2 + rig.ground2_stiffness.value * th2)
+        targets.append(mine + beside * a2)
+        angles.append(th2)
         one = np.ones_like(w1)
         rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))
     from scipy.optimize import nnls  # slow to load, and the help of the command line reads this module
 
-    A, y = np.concatenate(rows), np.concatenate(targets)
+    A, bare, th2 = np.concatenate(rows), np.concatenate(targets), np.concatenate(angles)
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
+    to_ground = rig.ground2_stiffness
+    tried = np.unique(np.maximum(to_ground.value + to_ground.std * _OFF_BY, 0.0))
+    k3 = min(tried, key=lambda k: nnls(A / size, bare + k * th2)[1]) if tried.size > 1 else to_ground.value
+    y = bare + k3 * th2
     x, left = nnls(A / size, y)
     known = y - A[:, 3:] @ (x[3:] / size[3:])
     total = float(np.linalg.norm(known))

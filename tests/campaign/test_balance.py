@@ -33,7 +33,9 @@ def motion(quantity):
     return np.array(found).T
 
 
-def remarks(folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity="acceleration", theta0=4.7):
+def remarks(
+    folder, change=lambda y: y, inertia=J2, spring=K1, alone=0, quantity="acceleration", theta0=4.7, to_ground=""
+):
     """Warnings of three coupled trials whose second channel is changed, and whose declared J2 is `inertia`.
 
     spring : declared k1t; alone : uncoupled trials beside them, of accelerations
@@ -71,6 +73,48 @@ def second(y):
 def test_a_sound_pair_is_not_remarked_on(tmp_path):
     text = remarks(tmp_path / "c", second)
     assert "second" not in text, text
+
+
+CARTS = """\
+name = "carts"
+[rig]
+kind = "translational"
+primary_inertia = 0.91
+secondary_inertia = 0.49
+bar_radius = 1.0
+magnet_pull = 1.0
+normal_force = "constant"
+ground2_stiffness = {{ value = 3.5, std = {std} }}
+[measurement]
+quantity = "displacement"
+start = "free"
+"""
+
+
+def remarks_on_carts(folder, sign, std):
+    """Warnings of one decay of two carts in both modes, the second one without a spring to ground."""
+    stiffness = np.array([[28.9, -3.0], [-3.0, 3.0]]) / np.array([[0.91], [0.49]])
+    damping = np.array([[0.07, -0.02], [-0.02, 0.02]]) / np.array([[0.91], [0.49]])
+    whole = np.block([[np.zeros((2, 2)), np.eye(2)], [-stiffness, -damping]])
+    step, state, found = expm(0.02 * whole), np.array([0.03, 0.0, 0.0, 0.0]), []
+    for _ in range(1000):
+        found.append(state[:2])
+        state = step @ state
+    y = np.array(found).T + 1e-4 * np.random.default_rng(0).standard_normal((2, 1000))
+    (folder / "trials").mkdir(parents=True)
+    (folder / "campaign.toml").write_text(CARTS.format(std=std))
+    write_table(folder / "trials/1.csv", ["time_s", "x1_m", "x2_m"], [0.02 * np.arange(1000), y[0], sign * y[1]])
+    (folder / "trials.csv").write_text("file,case,configuration,k1_n_per_m,trial\ntrials/1.csv,A,coupled,26.2,1\n")
+    return " ".join(load_campaign(folder).warnings)
+
+
+@pytest.mark.parametrize(
+    ("sign", "std", "said"), [(1.0, 1.75, None), (1.0, 0.1, "add up"), (-1.0, 1.75, "is reversed")]
+)
+def test_a_spring_to_ground_is_believed_as_far_as_it_is_known(tmp_path, sign, std, said):
+    """There is none; 3.5 N/m are declared, which is two standard deviations away, or 35."""
+    text = remarks_on_carts(tmp_path / "c", sign, std)
+    assert ("add up" not in text) if said is None else (said in text), text
 
 
 @pytest.mark.parametrize("factor", [1.0 / 3.0, 0.5, 2.0, 3.0])
