@@ -17,12 +17,14 @@ from scipy.special import fdtrc
 from bayes_damper.calibration.experiment import repeats
 from bayes_damper.calibration.least_squares import Calibration, calibrate
 from bayes_damper.calibration.own_values import COUPLED_ONLY, RELATIVE, nuisance
+from bayes_damper.calibration.scatter import without_repeats
 
 Array = NDArray[np.float64]
 
 DAMPING = "c1t"
 SHOWS_FROM = 3.0  # nats of evidence: odds of 20
 SURE = 1e-3  # by chance, in any of the parameters that are looked at
+UNUSUAL = 2.0  # times the size of a scatter that is expected, beyond which its interval shows something else
 
 
 def with_own_in_each_case(fit: Calibration, name: str, target: float = -math.inf) -> Calibration | None:
@@ -121,7 +123,12 @@ def differing_by_case(fit: Calibration) -> list[Apart]:
 
 
 def by_case_in_words(fit: Calibration, missing: bool = False) -> list[str]:
-    """A sentence on each parameter that cases share and should not; missing : whether the model lacks a cause."""
+    """A sentence on each parameter that cases share and should not; missing : whether the model lacks a cause.
+
+    Without repeats it is one on what differs from trial to trial by more than is usual, if no cause is missing.
+    """
+    if not any(rest for _, *rest in repeats([fit.problem.experiment.trials[i] for i in fit.problem.trials])):
+        return [] if missing else _lone_in_words(fit)
     out = []
     for apart in differing_by_case(fit):
         shown = (
@@ -136,6 +143,27 @@ def by_case_in_words(fit: Calibration, missing: bool = False) -> list[str]:
                 f"{_remedy(fit, apart.name, first)}"
             )
     return out
+
+
+def _lone_in_words(fit: Calibration) -> list[str]:
+    """A sentence on each parameter that differs from trial to trial by more than is usual where no case is repeated."""
+    first, *others = (fit.problem.experiment.trials[i].case for i in fit.problem.trials)
+    shared = _one_for_all(fit)
+    if fit.problem.experiment.start != "rest" or not shared or all(case == first for case in others):
+        return []
+    return [
+        f"{size.name} differs from trial to trial by {100.0 * size.sd:.2g} %, where {100.0 * size.typical:.2g} % is "
+        "usual. No case is repeated, so nothing shows whether it is the cases that differ: repeat some. "
+        f"{_remedy(fit, size.name, first)}"
+        for size in without_repeats(fit).sizes
+        if size.name in shared and size.low > UNUSUAL * size.typical
+    ]
+
+
+def _one_for_all(fit: Calibration) -> set[str]:
+    """Parameters that scatter about a value which cases may share."""
+    names = {size.name for size in fit.problem.switches.scatter.sizes} & {"k1t", *fit.problem.names}
+    return names - {DAMPING} if _on_springs_of_their_own(fit) else names  # each of which may damp as it does
 
 
 def _remedy(fit: Calibration, name: str, case: str) -> str:
@@ -171,9 +199,7 @@ class _Means:
     def of(cls, fit: Calibration) -> _Means:
         """From the normal equations at a fit."""
         problem, trials = fit.problem, fit.problem.experiment.trials
-        one_for_all = {size.name for size in problem.switches.scatter.sizes if size.name in ("k1t", *problem.names)}
-        if _on_springs_of_their_own(fit):  # each of which may damp as it does
-            one_for_all -= {DAMPING}
+        one_for_all = _one_for_all(fit)
         having = {
             name: [i for i in problem.trials if trials[i].coupled or name not in COUPLED_ONLY]
             for name in RELATIVE

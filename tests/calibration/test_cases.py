@@ -194,5 +194,12 @@ def test_cases_that_declare_springs_of_their_own_need_no_note():
     assert values[2] / values[0] - 1.0 == pytest.approx(SPRINGS["C"][0], abs=0.0025)
 
 
-def test_without_repeats_nothing_shows_what_differs_within_a_case():
-    assert differing_by_case(calibrate_nominal(on_springs(1.0, repeats=1))) == []
+def test_without_repeats_springs_that_differ_more_than_usual_are_named():
+    fit = calibrate_nominal(on_springs(2.0, repeats=1))
+    assert differing_by_case(fit) == []
+    (said,) = by_case_in_words(fit)
+    assert re.match(
+        r"k1t differs from trial to trial by [1-4](\.\d)? %, where 0.2 % is usual. No case is repeated", said
+    )
+    assert by_case_in_words(fit, missing=True) == []
+    assert by_case_in_words(calibrate_nominal(on_springs(0.0, repeats=1))) == []
