@@ -98,3 +98,28 @@ def braked_by_air(reaches: Sequence[float]) -> Experiment:
             TrialRecord(str(number), "I", False, number, times, y[None], 0, 0.0, heldout=reach == reaches[-1])
         )
     return Experiment({"J1": (1.0, 0.0)}, ((158.0, 8.0),), tuple(trials), quantity="displacement", start="free")
+
+
+def vane_on_a_pendulum(releases: Sequence[float] = (0.15, 0.3, 0.45, 0.6)) -> Experiment:
+    """One decay from each release by scipy's solver, under the drag |w|^1.85 of a vane; each release is a case."""
+    rng, J, k, trials = np.random.default_rng(5), 0.04, 1.9, []
+    times = np.arange(0.0, 27.0, 0.0227)
+
+    def motion(_: float, x: np.ndarray) -> list[float]:
+        return [
+            x[1],
+            -(
+                k * math.sin(x[0])
+                + 1.66e-3 * x[1]
+                + 7.2e-4 * math.tanh(60.0 * x[1])
+                + 5e-4 * np.sign(x[1]) * abs(x[1]) ** 1.85
+            )
+            / J,
+        ]
+
+    for number, release in enumerate(releases, 1):
+        y = solve_ivp(motion, (0.0, 27.0), [release, 0.0], "DOP853", times, rtol=1e-9, atol=1e-11).y[0]
+        y += 1.8e-3 * rng.standard_normal(times.size)
+        trials.append(TrialRecord(str(number), str(number), False, 1, times, y[None], 0, release, 0.005 * release))
+    constants = {"J1": (J, 0.0004)}
+    return Experiment(constants, ((1.91, 0.019),), tuple(trials), quantity="displacement", restoring="pendulum")

@@ -457,6 +457,14 @@ def with_scatter(fit: Calibration, scatter: Scatter, noise: Noise | None = None)
     return calibrate(problem, [fit.q], eta=carried(fit, problem), anneal=False)
 
 
+def likeliest_sizes(fit: Calibration) -> Scatter:
+    """Sizes that trials without repeats make likeliest together, under the fit's noise."""
+    scatter = fit.problem.switches.scatter
+    mode = Unlearnt.of(fit.problem, fit.linear.normal()).mode()
+    sds = {s.name: s.typical * math.exp(u) for s, u in zip(scatter.from_trial_to_trial, mode, strict=True)}
+    return Scatter(tuple(replace(s, sd=sds.get(s.name, s.sd)) for s in scatter.sizes))
+
+
 def without_repeats(fit: Calibration) -> Scatter:
     """Sizes that trials without repeats make likely, each with the others at the mode, under the fit's noise.
 

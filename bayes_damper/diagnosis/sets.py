@@ -51,6 +51,8 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.input_noise import followed
 from bayes_damper.calibration.least_squares import Essence, essence, restored
+from bayes_damper.calibration.scatter import SHOWN_FROM, likeliest_sizes, with_scatter
+from bayes_damper.calibration.unlearnt import gained_over_sizes
 from bayes_damper.diagnosis.pairs import ComposedProblem, Pair, PairProblem
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency, repeats_of, whitened_records
 from bayes_damper.diagnosis.search import Candidate, Screen
@@ -64,6 +66,7 @@ from bayes_damper.simulation.composition import compose
 
 Array = NDArray[np.float64]
 Member = tuple[Effect, Variant]
+Key = tuple[tuple[str, str], ...]  # of a set: its effects and formulas
 
 LARGEST = 4  # effects at once
 KEPT = 60  # columns that sets are made of: the most promising ones of each formula
@@ -72,6 +75,7 @@ SWITCHED_ON = 0.05  # of the residuals' sum of squares: the change of the record
 FITTED = 3  # sets fitted in each round
 ROUNDS = 3
 RELEARNT, LONGEST = 2, 5  # times that the noise is learnt from what a set leaves; the latter while it still changes
+RESIZED = 3  # times that sizes of scatter are learnt from what a set leaves
 SETTLED = 0.03  # relative change of the noise that does not count
 STARTS = (1.0, 0.6, 0.3)  # shares of the screening's amplitudes from which a set is fitted
 FAINT = 0.03  # the same where the base is kept
@@ -537,10 +541,10 @@ def grown(
     from the best one; else from the nominal model too, by two and three effects at once.
     """
     alone = bool(nominal.problem.noise.sensor)
-    sets: dict[tuple[tuple[str, str], ...], SetFit] = {(): set_fit((), nominal)}
+    sets: dict[Key, SetFit] = {(): set_fit((), nominal)}
 
     def add(members: tuple[Member, ...], fit: Calibration) -> None:
-        key = tuple(sorted((e.name, v.name) for e, v in members))
+        key = _key(members)
         new = set_fit(members, fit)
         if key not in sets or better(new, sets[key], sets[()].pieces):
             sets[key] = new
@@ -554,7 +558,7 @@ def grown(
     for pair in pairs:
         if not mends(pair.gain, explained, pair.exact, home):
             add(*_of_pair(pair))
-    ranked = weighed(list(sets.values()))
+    ranked = _with_own_sizes(sets)
     tried = {s.names for s in ranked}
     done: set[frozenset[str]] = set()
     for step in range(ROUNDS if alone else 1):
@@ -585,13 +589,17 @@ def grown(
             defined = sum(not e.exact for e, _ in members) < 2  # one formula mends another
             if alone or not mends(fit.log_evidence - max(smaller), explained, defined):
                 add(members, fit)
-        ranked = weighed(list(sets.values()))
+        ranked = _with_own_sizes(sets)
     # A smaller set may have ended short of where the best one leads: each effect is left out of that once. That is how
     # the nominal model comes by times of release that only the fit with an effect has found.
     best = ranked[0]
     for members, start in _without_one(best) if alone else ():
         add(members, _fitted(replace(nominal, eta=best.fit.eta), members, [start]))
-    return weighed(list(sets.values()))
+    return _with_own_sizes(sets)
+
+
+def _key(members: Sequence[Member]) -> Key:
+    return tuple(sorted((e.name, v.name) for e, v in members))
 
 
 def _without_one(best: SetFit) -> list[tuple[tuple[Member, ...], Array]]:
@@ -633,6 +641,29 @@ def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
     members = tuple(next(m for m in sides if m[1] is v) for v in problem.variants)
     exact = isinstance(problem, ComposedProblem)
     return members, replace(pair.fit, problem=SetProblem(problem.base, members, exact))
+
+
+def _with_own_sizes(sets: dict[Key, SetFit]) -> list[SetFit]:
+    """The sets, weighed, the best of them with the sizes of scatter that their trials' own values make likeliest.
+
+    Evidences are integrated over the sizes (unlearnt.py). Where these are far from those of a fit, most of the integral
+    is of fits that leave less than this one: what they leave has to be weighed with it.
+    """
+    settled: set[Key] = set()
+    while True:
+        ranked = weighed(list(sets.values()))
+        anew = [(key, s) for s in ranked[:FITTED] if s.members and (key := _key(s.members)) not in settled]
+        if not anew:
+            return ranked
+        for key, s in anew:
+            settled.add(key)
+            fit = s.fit
+            for _ in range(RESIZED):
+                if gained_over_sizes(fit.problem, fit.linear.normal()) < SHOWN_FROM:
+                    break
+                fit = _sharper(with_scatter(fit, likeliest_sizes(fit)))
+            if fit is not s.fit:
+                sets[key] = set_fit(s.members, fit)
 
 
 def _sharper(fit: Calibration) -> Calibration:
