@@ -37,7 +37,7 @@ def test_a_wrong_wiring_is_told_and_lies_at_the_sensors():
     ids=["exchanged", "reversed"],
 )
 def test_other_wrong_wirings_are_told(seed, change, coupled_only, words, poor):
-    found = miswired(calibrate_nominal(rewired(measured(seed), change, coupled_only)))
+    found = miswired(calibrate_nominal(rewired(measured(seed, repeats=2), change, coupled_only)))
     assert found is not None
     assert words in found.words
     assert found.after < 0.05 < poor < found.before
@@ -47,7 +47,7 @@ def test_other_wrong_wirings_are_told(seed, change, coupled_only, words, poor):
 @pytest.mark.parametrize("size", [0.0, 0.3])
 def test_a_rig_that_is_wired_rightly_is_not_doubted(size):
     """Neither without a gap nor with a blow that no law explains, as strong as the spring."""
-    assert miswired(calibrate_nominal(measured(4, torque=knock(0.1, 0.05, size)))) is None
+    assert miswired(calibrate_nominal(measured(4, repeats=2, torque=knock(0.1, 0.05, size)))) is None
 
 
 @pytest.mark.slow
