@@ -48,7 +48,6 @@ from bayes_damper.calibration.nominal import (
     gained_by_own_releases,
     grown,
     under,
-    under_what_it_leaves,
     with_sizes_of_its_own,
 )
 from bayes_damper.calibration.normal_equations import Block, Linear, Normals
@@ -95,7 +94,6 @@ __all__ = [
     "summarise",
     "thinned",
     "under",
-    "under_what_it_leaves",
     "unseeing",
     "value_and_slope",
     "whittle",

@@ -432,12 +432,6 @@ def under(fit: Calibration, noise: Noise, scatter: Scatter | None = None) -> Cal
     return found
 
 
-def under_what_it_leaves(fit: Calibration) -> Calibration:
-    """The fit under the noise that it shows, also where that is no more than the noise of the sensors."""
-    noise = learn_noise(fit)
-    return under(fit, noise if noise.sensor else noise.of_sensors, fit.problem.switches.scatter)
-
-
 def with_sizes_of_its_own(fit: Calibration) -> Calibration:
     """The fit of released trials without repeats, and its noise, with the sizes of scatters that they make likely.
 

@@ -24,7 +24,6 @@ from bayes_damper.calibration import (
     gained_by_own_releases,
     learn_noise,
     under,
-    under_what_it_leaves,
 )
 from bayes_damper.calibration.latency import AS_LATE, with_latency
 from bayes_damper.diagnosis.budget import UNLIKELY, Budget, answers_of, budget_of, foreign_alone, idle_alone
@@ -137,7 +136,7 @@ def judge_without_repeats(
     own = as_single_releases(sets[0].fit).problem.switches.scatter if sets[0].members else fit.problem.switches.scatter
     if own != fit.problem.switches.scatter:
         report("the leading answer leaves no more than the trials may differ by; searching again, with values for each")
-        fit = under_what_it_leaves(under(fit, fit.problem.noise, own))
+        fit = _under_what_it_leaves(under(fit, fit.problem.noise, own))
         found = search(fit, [*pool, *drifts_of(fit.problem.experiment)], workers=workers, report=report)
         sets = grown(fit, found, pool, workers=workers, report=report)
     fit = next(s.fit for s in sets if not s.members)
@@ -174,6 +173,12 @@ def judge_without_repeats(
         sensitivity_of_sets(fit, sets, partial(answered, rule), answers.verdict, len(names)),
         _under_priors(answered, answers, rule), _weighed(seen, none_left, left, _excess(seen.after)),
     )  # fmt: skip
+
+
+def _under_what_it_leaves(fit: Calibration) -> Calibration:
+    """The fit under the noise that it shows, also where that is no more than the noise of the sensors."""
+    noise = learn_noise(fit)
+    return under(fit, noise if noise.sensor else noise.of_sensors, fit.problem.switches.scatter)
 
 
 def judge_by_repeats(

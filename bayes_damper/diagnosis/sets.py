@@ -542,6 +542,7 @@ def grown(
     """
     alone = bool(nominal.problem.noise.sensor)
     sets: dict[Key, SetFit] = {(): set_fit((), nominal)}
+    settled: dict[Key, Calibration] = {}
 
     def add(members: tuple[Member, ...], fit: Calibration) -> None:
         key = _key(members)
@@ -553,12 +554,12 @@ def grown(
         # Under a noise of its own a fit that is far behind (`judgement`) cannot be weighed beside the others.
         comparable = c.fit is not None and (alone or c.fit.problem.noise == nominal.problem.noise)
         if c.fit is not None and comparable and math.isfinite(c.log_evidence):
-            add(((c.effect, c.variant),), _sharper(c.fit) if alone else c.fit)
+            add(((c.effect, c.variant),), sharpened(c.fit) if alone else c.fit)
     explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
     for pair in pairs:
         if not mends(pair.gain, explained, pair.exact, home):
             add(*_of_pair(pair))
-    ranked = _with_own_sizes(sets)
+    ranked = _with_own_sizes(sets, settled)
     tried = {s.names for s in ranked}
     done: set[frozenset[str]] = set()
     for step in range(ROUNDS if alone else 1):
@@ -589,13 +590,13 @@ def grown(
             defined = sum(not e.exact for e, _ in members) < 2  # one formula mends another
             if alone or not mends(fit.log_evidence - max(smaller), explained, defined):
                 add(members, fit)
-        ranked = _with_own_sizes(sets)
+        ranked = _with_own_sizes(sets, settled)
     # A smaller set may have ended short of where the best one leads: each effect is left out of that once. That is how
     # the nominal model comes by times of release that only the fit with an effect has found.
     best = ranked[0]
     for members, start in _without_one(best) if alone else ():
         add(members, _fitted(replace(nominal, eta=best.fit.eta), members, [start]))
-    return _with_own_sizes(sets)
+    return _with_own_sizes(sets, settled)
 
 
 def _key(members: Sequence[Member]) -> Key:
@@ -643,30 +644,32 @@ def _of_pair(pair: Pair) -> tuple[tuple[Member, ...], Calibration]:
     return members, replace(pair.fit, problem=SetProblem(problem.base, members, exact))
 
 
-def _with_own_sizes(sets: dict[Key, SetFit]) -> list[SetFit]:
+def _with_own_sizes(sets: dict[Key, SetFit], settled: dict[Key, Calibration]) -> list[SetFit]:
     """The sets, weighed, the best of them with the sizes of scatter that their trials' own values make likeliest.
 
     Evidences are integrated over the sizes (unlearnt.py). Where these are far from those of a fit, most of the integral
     is of fits that leave less than this one: what they leave has to be weighed with it.
+
+    settled : the fits that have been looked at, which grows.
     """
-    settled: set[Key] = set()
     while True:
         ranked = weighed(list(sets.values()))
-        anew = [(key, s) for s in ranked[:FITTED] if s.members and (key := _key(s.members)) not in settled]
+        leading = [(_key(s.members), s) for s in ranked[:FITTED] if s.members]
+        anew = [(key, s) for key, s in leading if settled.get(key) is not s.fit]
         if not anew:
             return ranked
         for key, s in anew:
-            settled.add(key)
             fit = s.fit
             for _ in range(RESIZED):
                 if gained_over_sizes(fit.problem, fit.linear.normal()) < SHOWN_FROM:
                     break
-                fit = _sharper(with_scatter(fit, likeliest_sizes(fit)))
+                fit = sharpened(with_scatter(fit, likeliest_sizes(fit)))
             if fit is not s.fit:
                 sets[key] = set_fit(s.members, fit)
+            settled[key] = fit
 
 
-def _sharper(fit: Calibration) -> Calibration:
+def sharpened(fit: Calibration) -> Calibration:
     """The fit under the noise that it leaves itself: a better fit leaves less, which sharpens it."""
     for number in range(LONGEST):
         noise = learn_noise(fit)
@@ -692,7 +695,7 @@ def _fitted(nominal: Calibration, members: tuple[Member, ...], starts: Sequence[
         problem = SetProblem(problem, members, exact=True)
     most = STEPS_ALONE if alone else STEPS
     fit = calibrate(problem, starts, eta=nominal.eta, anneal=False, most=most, finish=not alone, straight=alone)
-    return _sharper(fit) if alone else fit
+    return sharpened(fit) if alone else fit
 
 
 def _grown(nominal: Calibration, base: SetFit, members: tuple[Member, ...], starts: Sequence[Array]) -> Calibration:

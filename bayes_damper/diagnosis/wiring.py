@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration import Calibration, Experiment, calibrate, grown, under_what_it_leaves
+from bayes_damper.calibration import Calibration, Experiment, calibrate, grown
 from bayes_damper.calibration.nominal import broad_noise
 from bayes_damper.calibration.scatter import carried
-from bayes_damper.diagnosis.sets import set_fit, weighed
+from bayes_damper.diagnosis.sets import set_fit, sharpened, weighed
 
 Array = NDArray[np.float64]
 
 POOR = 0.02  # share of a channel's squares that the nominal model must leave for its wiring to be doubted
-TURNS = 3  # of learning the noise from what the mended records leave
 MENDED = 0.1  # of that, what the right wiring may leave
 
 
@@ -84,14 +83,17 @@ def miswired(nominal: Calibration) -> Wiring | None:
         return None
     best: Wiring | None = None
     for words, change in WAYS if experiment.start == "rest" else FREE_WAYS:
-        found = Wiring(words, *_mended(nominal, change), before)
+        found = Wiring(words, *_mended(nominal, change, before), before)
         if found.after < MENDED * before and found.gain > (0.0 if best is None else best.gain):
             best = found
     return best
 
 
-def _mended(nominal: Calibration, change: Callable[[Array], Array]) -> tuple[float, float]:
-    """Gain of the records as they would have been over those that there are, nats, and the share of squares left."""
+def _mended(nominal: Calibration, change: Callable[[Array], Array], before: float) -> tuple[float, float]:
+    """Gain of the records as they would have been over those that there are, nats, and the share of squares left.
+
+    before : the share that the nominal model leaves of the records as they are.
+    """
     problem = nominal.problem
     mended = _rewired(problem.experiment, change)
     again = problem.changed(experiment=mended, effect=None, factors=None)
@@ -102,16 +104,11 @@ def _mended(nominal: Calibration, change: Callable[[Array], Array]) -> tuple[flo
     begun = grown(mended, again)
     starts, eta = ((), None) if begun is None else ((begun.q,), carried(begun, again))
     fit = calibrate(again, starts, eta=eta, most=15, finish=False)
-    left = _left(fit)
-    if not alone:
-        return fit.log_evidence - nominal.log_evidence, left
-    for _ in range(TURNS):
-        if not left < _left(nominal):
-            break
-        fit = under_what_it_leaves(fit)
-        left = _left(fit)
+    if not alone or not _left(fit) < before:
+        return fit.log_evidence - nominal.log_evidence, _left(fit)
+    fit = sharpened(fit)
     sets = weighed([set_fit((), nominal), set_fit((), fit)])
-    return next(s.evidence for s in sets if s.fit is fit), left
+    return next(s.evidence for s in sets if s.fit is fit), _left(fit)
 
 
 def _rewired(experiment: Experiment, change: Callable[[Array], Array]) -> Experiment:

@@ -32,7 +32,6 @@ from bayes_damper.diagnosis.sets import (
     SetProblem,
     _fitted,
     _grown,
-    _sharper,
     _without_one,
     better,
     columns_at,
@@ -42,6 +41,7 @@ from bayes_damper.diagnosis.sets import (
     probabilities,
     proposals,
     set_fit,
+    sharpened,
     support,
     weighed,
 )
@@ -556,7 +556,7 @@ def test_without_repeats_each_choice_weighs_the_sets_again():
     own = [
         coordinate_of(p.prior, x) for p, x in zip((p for _, v in members for p in v.parameters), values, strict=True)
     ]
-    fit = _sharper(calibrate(problem, [np.r_[nominal.q, own]], eta=nominal.eta, anneal=False, straight=True))
+    fit = sharpened(calibrate(problem, [np.r_[nominal.q, own]], eta=nominal.eta, anneal=False, straight=True))
     assert fit.problem.noise != nominal.problem.noise
     sets = weighed([set_fit((), nominal), set_fit(members, fit)])
     parts = [SimpleNamespace(name=e.name) for e, _ in members]
