@@ -239,7 +239,7 @@ class _Means:
     def tested(self, name: str, given: Sequence[str]) -> float:
         """p-value of the cases being alike in a parameter, the means of those that are given being free."""
         alike, apart = self._directions(given), self._directions([*given, name])
-        common = np.array([self._along(places, np.ones(len(places))) for places in self.of_cases[name]])
+        common = np.array([np.eye(self.slope.size)[places].sum(axis=0) for places in self.of_cases[name]])
         gained = self._solved(apart)[0] - self._solved(np.concatenate([alike, common]))[0]
         freedom = sum(len(places) - 1 for places in self.of_cases[name])
         return float(fdtrc(freedom, self.freedom[name], max(gained, 0.0) / freedom))
@@ -256,11 +256,6 @@ class _Means:
         """One for the mean of each case, (k, n)."""
         places = [at for name in names for those in self.of_cases[name] for at in those]
         return np.eye(self.slope.size)[places]
-
-    def _along(self, places: Sequence[int], values: Array) -> Array:
-        out = np.zeros(self.slope.size)
-        out[list(places)] = values
-        return out
 
     def _solved(self, directions: Array) -> tuple[float, Array]:
         """Chi-square gained by what lies along directions (k, n), and the means (n,)."""

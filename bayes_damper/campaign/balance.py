@@ -358,9 +358,8 @@ def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: flo
     size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
     to_ground = rig.ground2_stiffness
     tried = np.unique(np.maximum(to_ground.value + to_ground.std * _OFF_BY, 0.0))
-    k3 = min(tried, key=lambda k: nnls(A / size, bare + k * th2)[1]) if tried.size > 1 else to_ground.value
-    y = bare + k3 * th2
-    x, left = nnls(A / size, y)
+    balanced = [(target, *nnls(A / size, target)) for target in (bare + k3 * th2 for k3 in tried)]
+    y, x, left = min(balanced, key=lambda found: found[2])
     known = y - A[:, 3:] @ (x[3:] / size[3:])
     total = float(np.linalg.norm(known))
     if total <= 0.0:

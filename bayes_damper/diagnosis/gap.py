@@ -201,20 +201,20 @@ def taken_up(fit: Calibration, heldout: Mapping[int, Prediction]) -> dict[str, f
     Name -> by how many standard deviations of what is declared or scatters, the nearer of the two, farthest first. What
     trials share so is no scatter but a gap, and the test does not see it: it leaves own values free.
     """
+    if fit.problem.experiment.start == "free":
+        return {}
+    known = {name for name, _ in fit.problem.switches.scatter.columns(True)} - {RELEASE} | {"theta0"}
     fitted: dict[str, list[float]] = {}
-    found: dict[str, float] = {}
-    columns = {name for name, _ in fit.problem.switches.scatter.columns(True)} - {RELEASE}
     for group in fit.problem.groups:
         for m, (name, _, _) in enumerate(group.nuisances):
             fitted.setdefault(name, []).extend(float(fit.eta[i][m]) for i in group.trials)
+    found: dict[str, float] = {}
     for group in fit.problem.grouped(tuple(heldout)):
         for m, (name, _, _) in enumerate(group.nuisances):
-            if name not in columns | {"theta0"} or name not in fitted or fit.problem.experiment.start == "free":
-                continue
-            for i in group.trials:
+            for i in group.trials if name in known and name in fitted else ():
                 both = (float(heldout[i].eta[m]), float(np.mean(fitted[name])))
                 nearer = min(both, key=abs)
-                if min(both) * max(both) > 0.0 and abs(nearer) > max(OUT_OF_REACH, abs(found.get(name, 0.0))):
+                if both[0] * both[1] > 0.0 and abs(nearer) > max(OUT_OF_REACH, abs(found.get(name, 0.0))):
                     found[name] = nearer
     return dict(sorted(found.items(), key=lambda item: -abs(item[1])))
 

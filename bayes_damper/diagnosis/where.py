@@ -397,14 +397,10 @@ def find_event(fit: Calibration, moved: Sequence[Motion] | None = None) -> Event
     assert best is not None
     if best[0] < 0.3 * EVENT:
         return None
-    reach = 0.5 * width
+    reach, ends = 0.5 * width, (0.5 * EVENT_WIDTHS[0] * period, WIDEST_EVENT * period)
     for _ in range(4):
         instants = best[1] + reach * np.linspace(-1.0, 1.0, 7)
-        widths = np.unique(
-            np.clip(
-                best[2] * np.array([0.4, 0.7, 1.0, 1.4, 2.2]), 0.5 * EVENT_WIDTHS[0] * period, WIDEST_EVENT * period
-            )
-        )
+        widths = np.unique(np.clip(best[2] * np.array([0.4, 0.7, 1.0, 1.4, 2.2]), *ends))
         t, w = (x.ravel() for x in np.meshgrid(instants, widths))
         for site in sites:
             gain, size, sd = _pulses(fit, moved, site, t, w)
