@@ -33,8 +33,8 @@ from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling.convergence import StoppingRule, Verdict, autocorrelation_time, judge, stranded_walkers
 from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, HalvesMove, Independence, Snooker, fit_mixture
+from bayes_damper.sampling.normal_scores import InScores, NormalScores, normal_scores
 from bayes_damper.sampling.start import Start, cloud
-from bayes_damper.sampling.straightening import Straightened, Straightening, straightening
 
 Array = NDArray[np.float64]
 
@@ -410,9 +410,9 @@ class _Run:
 
 
 def _learnt(draws: Array) -> dict[str, Any]:
-    """What a state holds of the mixture that draws (n, ndim) show, in straight coordinates where that is worth it."""
-    through = straightening(draws)
-    shares, centres, spreads = fit_mixture(draws if through is None else through.straight(draws)[0])
+    """What a state holds of the mixture that draws (n, ndim) show, in normal scores where that is worth it."""
+    through = normal_scores(draws)
+    shares, centres, spreads = fit_mixture(draws if through is None else through.scores(draws)[0])
     spreads = spreads + np.eye(draws.shape[1]) * 1e-300
     knots = np.empty(0) if through is None else through.knots
     return {"shares": shares, "centres": centres, "spreads": spreads, "knots": knots}
@@ -542,8 +542,8 @@ def _moves(state: _Ensemble) -> list[tuple[HalvesMove, float]]:
         of_mixture: list[tuple[HalvesMove, float]] = [(Nearby(*learnt), near)] if near > 0 else []
         of_mixture.append((Independence(*learnt), state.weight - near))
         if state.knots.size:
-            through = Straightening(state.knots)
-            of_mixture = [(Straightened(move, through), share) for move, share in of_mixture]
+            through = NormalScores(state.knots)
+            of_mixture = [(InScores(move, through), share) for move, share in of_mixture]
         mix += of_mixture
     return mix
 

@@ -16,9 +16,9 @@ from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
 from bayes_damper.sampling.convergence import stranded_walkers
 from bayes_damper.sampling.ensembles import _after_round, _fingerprint, _moves, _Run
 from bayes_damper.sampling.moves import fit_mixture
+from bayes_damper.sampling.normal_scores import InScores
 from bayes_damper.sampling.sequential import Powers
 from bayes_damper.sampling.start import annealed_start, cloud, resampled_start
-from bayes_damper.sampling.straightening import Straightened
 
 
 class Gaussian:
@@ -330,7 +330,7 @@ class Skewed:
 
 
 @pytest.mark.slow
-def test_skewed_targets_are_proposed_in_straight_coordinates_which_a_state_keeps(tmp_path):
+def test_skewed_targets_are_proposed_in_normal_scores_which_a_state_keeps(tmp_path):
     """Half of the draws are accepted; of a mixture in the coordinates themselves a fifth."""
     target = Skewed()
     start = Start(np.ones(8), 0.3 * np.eye(8), float(target(np.ones((1, 8)))[0]), 1)
@@ -342,7 +342,7 @@ def test_skewed_targets_are_proposed_in_straight_coordinates_which_a_state_keeps
     checkpoint = Checkpoint(tmp_path, {}).bound_to(_fingerprint(target, start, 1, 4, 64))
     again = _Run(target, start, 1, 4, 64, StoppingRule(), checkpoint, None, None)
     assert all(state.knots.shape == (14, 8) for state in again.states)
-    assert all(isinstance(move, Straightened) for move, _ in _moves(again.states[0])[3:])
+    assert all(isinstance(move, InScores) for move, _ in _moves(again.states[0])[3:])
 
 
 def test_the_mixture_learns_from_all_walkers(monkeypatch):

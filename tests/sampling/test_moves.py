@@ -8,7 +8,7 @@ from scipy import stats
 from bayes_damper.sampling import resampled_start
 from bayes_damper.sampling.local_mixture import Nearby
 from bayes_damper.sampling.moves import DifferentialEvolution, Independence, Snooker, StudentT, _distinct, fit_mixture
-from bayes_damper.sampling.straightening import Straightened, Straightening
+from bayes_damper.sampling.normal_scores import InScores, NormalScores
 
 
 def mixture(ndim):
@@ -27,10 +27,10 @@ def nearby(parts):
     )
 
 
-def straightened(move, ndim):
-    """The same move in coordinates that are straight for another, skewed distribution."""
+def in_scores(move, ndim):
+    """The same move in the normal scores of another, skewed distribution."""
     skewed = np.random.default_rng(0).gamma(2.0, size=(600, ndim))
-    return Straightened(move, Straightening.of(skewed - 1.0))
+    return InScores(move, NormalScores.of(skewed - 1.0))
 
 
 MOVES = {
@@ -39,8 +39,8 @@ MOVES = {
     "snooker": lambda ndim: Snooker(),
     "independence": mixture,
     "nearby": lambda ndim: nearby(mixture(ndim)),
-    "straightened": lambda ndim: straightened(mixture(ndim), ndim),
-    "straightened_nearby": lambda ndim: straightened(nearby(mixture(ndim)), ndim),
+    "in_scores": lambda ndim: in_scores(mixture(ndim), ndim),
+    "nearby_in_scores": lambda ndim: in_scores(nearby(mixture(ndim)), ndim),
     "default_mix": lambda ndim: [
         (DifferentialEvolution(), 0.7),
         (DifferentialEvolution(1.0), 0.1),
