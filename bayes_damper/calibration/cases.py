@@ -134,7 +134,7 @@ def by_case_in_words(fit: Calibration, missing: bool = False) -> list[str]:
         shown = (
             f"repeats of one case differ by {100.0 * apart.within:.2g} %, so this is not the scatter of single trials. "
         )
-        lacks = "So acts a law that the model lacks, too, where cases swing differently far. " if missing else ""
+        lacks = "A law that the model lacks looks so where cases swing to different amplitudes. " if missing else ""
         for values in apart.values:
             first, *others = sorted(values, key=lambda case: values[case])
             beside = ", ".join(f"{100.0 * (values[case] - values[first]):.2g} % in case {case}" for case in others)
