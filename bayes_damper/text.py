@@ -134,10 +134,10 @@ def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
         chance = "" if p is None else f" ({p_value(p)})"
         why = gap.get("why") if answer == "cannot tell" else None
         shown = f"does not decide{chance}: {why}" if why else f"does not show the gap{chance}"
-        return (
-            f"The test of the held-out trials alone {shown}. The answer rests on all trials together. More trials "
-            "under the same conditions would confirm or refute it."
-        )
+        rests = f"The test of the held-out trials alone {shown}. The answer rests on all trials together."
+        if gap.get("taken_up"):  # more trials of the kind leave the test as blind
+            return rests
+        return f"{rests} More trials under the same conditions would confirm or refute it."
     return ""
 
 

@@ -66,6 +66,13 @@ def test_a_verdict_that_the_test_of_the_gap_does_not_share_is_explained(verdict,
     assert bool(sentence) is bool(told)
 
 
+def test_more_trials_are_not_asked_for_where_own_values_of_trials_hide_a_gap():
+    gap = {"answer": "cannot tell", "p_value": 0.4, "upper_rms_over_noise": 0.4, "why": "measure the angles"}
+    assert "More trials" in gap_beside_verdict("unknown", 0.7, gap)
+    blind = gap_beside_verdict("unknown", 0.7, gap | {"taken_up": {"theta0": -9.0}})
+    assert blind.endswith("measure the angles. The answer rests on all trials together.")
+
+
 def test_what_is_said_of_three_records_is_said_once():
     late = [f"trials/A_{i}.csv: motion begins {t} s after the release; it stuck" for i, t in ((1, 0.001), (2, 0.002))]
     steps = [f"trials/A_{i}.csv, column 'theta1_rad': quantised in steps of 0.1" for i in (1, 2, 3, 4)]

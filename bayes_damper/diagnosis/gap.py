@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any, Literal
 
@@ -73,7 +73,8 @@ _SLOW = 10.0  # times the rig's own frequency: torques on inertias show below
 class Gap:
     """The gap on held-out trials. rms in the unit of the readings; closed and augmented_rms None without an answer.
 
-    upper_rms: 95 % upper limit of the gap's rms, in units of the noise sd. why: one sentence.
+    upper_rms: 95 % upper limit of the gap's rms, in units of the noise sd. why: one sentence. taken_up: own values of
+    trials that may take a gap up, so that this test cannot show it: name -> standard deviations from what is declared.
     """
 
     answer: Literal["none", "gap", "cannot tell"]
@@ -85,6 +86,7 @@ class Gap:
     closed: Closed | None
     upper_rms: float
     why: str
+    taken_up: Mapping[str, float] = field(default_factory=dict)
 
     def to_json(self) -> GapEntry:
         """The `gap` entry of diagnosis.json."""
@@ -93,6 +95,7 @@ class Gap:
             "nominal_rms": self.nominal_rms, "augmented_rms": self.augmented_rms,
             "closed": None if self.closed is None else self.closed.to_json(),
             "upper_rms_over_noise": self.upper_rms if math.isfinite(self.upper_rms) else None, "why": self.why,
+            "taken_up": dict(self.taken_up),
         }  # fmt: skip
 
 
@@ -150,6 +153,7 @@ def measure_gap(
     closed = None
     if winner is not None and after is not None:
         closed = products(nominal, heldout, [_both(nominal, before), _both(winner, after)], rng).closed(1)
+    taken: dict[str, float] = {}
     answer: Literal["none", "gap", "cannot tell"]
     if p_value < SIZE:
         answer, why = "gap", f"held-out residuals follow what the training trials predict ({words_of_p(p_value)})"
@@ -167,7 +171,7 @@ def measure_gap(
             f"the held-out trials alone show no gap, but one as large as {two_digits(upper)} times the sensor noise "
             "could hide in them: add trials"
         )
-    return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why)
+    return Gap(answer, p_value, SIZE, floor, nominal_rms, augmented, closed, upper, why, taken)
 
 
 def _undecided(nominal: float, augmented: float | None, noise: float, p_value: float, repeated: bool) -> str:

@@ -202,6 +202,7 @@ def test_what_values_of_each_trials_own_take_up_is_not_said_to_be_no_gap():
     off = float(re.search(r"theta0 ([+-]\d+)", gap.why).group(1))
     assert -11.0 < off < -5.0
     assert "it does not see a gap that they take up" in gap.why
+    assert gap.to_json()["taken_up"] == taken_up(fit, predict(fit, e.heldout))
 
 
 def slow_errors(seed, width=20.0):

@@ -40,6 +40,7 @@ class GapEntry(TypedDict):
     closed: Share | None
     upper_rms_over_noise: NotRequired[float | None]
     why: NotRequired[str]
+    taken_up: NotRequired[Mapping[str, float]]
     unit: NotRequired[str]
     on: NotRequired[str]
     mean_difference: NotRequired[float]
