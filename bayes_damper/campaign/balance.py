@@ -4,10 +4,11 @@ What the bodies do to each other drops out of the sum of their equations, whatev
 
     (J1 + J12) a1 + c1 w1 + k1 th1 + (J2 + J12) a2 + c3 w2 + k3 th2 = 0
 
-but for dry friction in the bearings and other small things. Held against a bump g of one natural period that is moved
-along the record (Shinbrot's modulating functions, NACA TN 3288, 1954), the derivatives go over to the bump: with
-accelerations, velocities or displacements alike th, w and a become the readings filtered by g, -g' and g''. Nothing is
-integrated, so nothing drifts. A least-squares fit of J2 and of the dampings is left.
+with the dry friction of the bearings beside, but for other small things. Held against a bump g of one natural period
+that is moved along the record (Shinbrot's modulating functions, NACA TN 3288, 1954), the derivatives go over to the
+bump: with accelerations, velocities or displacements alike th, w and a become the readings filtered by g, -g' and g''.
+Nothing is integrated, so nothing drifts, but the way that a body moves, where accelerations are read. A least-squares
+fit of J2, of the dampings and of the frictions is left.
 """
 
 from __future__ import annotations
@@ -32,24 +33,32 @@ _TAKES = 4.0  # times what primary and springs can give, from which the secondar
 _UNIT = 300.0  # times J2, which no other law of spring or friction looks like
 _FAINT = 0.2  # share explained that still gives an inertia to within its unit
 _FEWEST = 20.0  # readings in a natural period
-_ALIKE = 1.5  # times what the best lag leaves, up to which another one does as well
+_ALIKE = 1.5  # times what the best lag, or inertia, leaves, up to which another one does as well
+_DERIVED = {"displacement": 0, "velocity": 1, "acceleration": 2}  # how often the readings are angles derived
 _NEAR = np.linspace(-1.2, 1.2, 25)  # rad of the rig's oscillation by which channels are moved first
 _BEYOND = np.arange(1.3, 6.65, 0.1)  # and then, where that balances nothing
 _TRIED = 8  # trials of a case that are moved so far
 _NARROW = 0.5  # rad of it, to which lags that do as well as the best one are not listed
 _LATE = 0.3  # rad of the rig's oscillation by which channels may be apart
 _LEAST = 5.0  # natural periods of a record that are looked at, where the motion dies out sooner
-_OFF_BY = np.linspace(-3.0, 3.0, 7)  # standard deviations of the spring from the secondary to ground
+_HOLDS = 0.1  # of the secondary's own torque: what sums leave for which the channels need no other clock
+_SWINGS = 1.5  # natural periods that both bodies move, below which a lag and friction that stops them look alike
+_OFF_BY = 3.0  # standard deviations by which springs may be off
+_SLOW = 0.02  # of the largest velocity, over which dry friction turns round
 _ALONE = 1.3  # readings over their own noise, up to which a channel shows nothing else
 
 
 @dataclass(frozen=True)
 class _Sum:
-    """Inertia of the second body that balances the primary, its standard error, and the share that it explains."""
+    """Inertia of the second body that balances the primary, its standard error, and the share that it explains.
+
+    left : what it leaves, over the angular acceleration of the second body
+    """
 
     inertia: float
     error: float
     explained: float
+    left: float
 
 
 def look_at_balance(
@@ -92,7 +101,7 @@ def look_at_balance(
             ):
                 wrong[case], sure = found.inertia, True
             continue
-        if _is_reversed(_balance(head, filtered, 0.0, own_swing, sign=-1.0), declared.value):
+        if _is_reversed(head, filtered, own_swing):
             wirings = [wiring_of(head, trial) for trial in still]
             if not {"reversed", "mirrored"} & set(wirings):  # else each of them is named
                 first = 2 * wirings.count("first reversed") > len(wirings)
@@ -175,7 +184,14 @@ def _look_at_clock(
 
     as_declared : with an inertia near the declared one, while another one balances the channels without a lag.
     """
-    omega = 2.0 * math.pi / natural_period(head.rig, trials[0].trial)
+    period = natural_period(head.rig, trials[0].trial)
+    swings = [min(float(np.ptp(_stretch(f.trial, c))) for c in (0, 1)) / period for f in trials]
+    as_it_is = _balance(head, trials, 0.0, own_swing, within=_about_declared(head))
+    declared = head.rig.secondary_inertia
+    holds = declared is not None and as_it_is is not None and as_it_is.left < _HOLDS * declared.value
+    if holds or np.median(swings) < _SWINGS:
+        return False
+    omega = 2.0 * math.pi / period
     near = _moved(head, trials, _NEAR / omega, own_swing)
     best = _best(near)
     if not _is_lag(best[1], found):
@@ -234,7 +250,7 @@ def _moved(
 
 def _best(moved: Sequence[tuple[float, _Sum]]) -> tuple[float, _Sum]:
     """The lag that explains most."""
-    return max(moved, key=lambda m: m[1].explained, default=(0.0, _Sum(0.0, math.inf, 0.0)))
+    return max(moved, key=lambda m: m[1].explained, default=(0.0, _Sum(0.0, math.inf, 0.0, math.inf)))
 
 
 def _is_lag(there: _Sum, here: _Sum) -> bool:
@@ -242,10 +258,16 @@ def _is_lag(there: _Sum, here: _Sum) -> bool:
     return there.explained >= _SHOWN and 1.0 - there.explained <= 0.5 * (1.0 - here.explained)
 
 
+def _about_declared(head: Head) -> tuple[float, float]:
+    """Bounds of inertias that are about the declared one."""
+    declared = head.rig.secondary_inertia
+    return (0.0, math.inf) if declared is None else (_OFF[0] * declared.value, _OFF[1] * declared.value)
+
+
 def _is_as_declared(head: Head, found: _Sum) -> bool:
     """Whether the inertia that balances is about the declared one."""
-    declared = head.rig.secondary_inertia
-    return declared is None or _OFF[0] < found.inertia / declared.value < _OFF[1]
+    low, high = _about_declared(head)
+    return low < found.inertia < high
 
 
 def _is_copy(trial: Trial, head: Head, faults: list[str]) -> bool:
@@ -286,11 +308,22 @@ class _Filtered:
     grid: Array  # (n,) s
     bumps: tuple[Array, Array, Array]  # of the angle, its rate and its acceleration
     first: tuple[Array, Array, Array]
+    rates: tuple[Array, Array]  # velocities of both bodies at the times of the trial, about
+    friction: int  # which of the bumps dry friction is filtered by
 
     def second(self, lag: float) -> list[Array]:
         """The second channel, read later by `lag` (s), filtered alike."""
         y = np.interp(self.grid + lag, self.trial.times, self.trial.channels[1])
         return [np.convolve(y, bump, "valid") for bump in self.bumps]
+
+    def dry(self, lag: float) -> list[Array]:
+        """Dry friction of both bodies over its size, filtered alike."""
+        found = []
+        for rate, late in zip(self.rates, (0.0, lag), strict=True):
+            w = np.interp(self.grid + late, self.trial.times, rate)
+            least = _SLOW * float(np.max(np.abs(w))) + 1e-300
+            found.append(np.convolve(w / np.hypot(w, least), self.bumps[self.friction], "valid"))
+        return found
 
 
 def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
@@ -314,8 +347,27 @@ def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
         bumps = (bump[::-1], -slope[::-1], bend[::-1])
         y = np.interp(grid, trial.times, trial.channels[0])
         th, w, a = (np.convolve(y, kernel, "valid") for kernel in bumps)
-        found.append(_Filtered(trial, grid, bumps, (th, w, a)))
+        rates = [_rate(trial.times, y, head.measurement.quantity, max(width // 20, 1)) for y in trial.channels]
+        found.append(
+            _Filtered(trial, grid, bumps, (th, w, a), (rates[0], rates[1]), _DERIVED[head.measurement.quantity])
+        )
     return found
+
+
+def _rate(times: Array, y: Array, quantity: str, smooth: int) -> Array:
+    """Velocity of a body from its readings, well enough to see which way it moves.
+
+    smooth : readings over which displacements are averaged before they are derived
+    """
+    if quantity == "velocity":
+        return y
+    if quantity == "acceleration":  # sums up from rest, to rest
+        rate = np.concatenate([[0.0], np.cumsum(0.5 * (y[1:] + y[:-1]) * np.diff(times))])
+        last = slice(-max(times.size // 4, 1), None)
+        since = times - times[0]
+        return np.asarray(rate - since * (np.mean(rate[last]) / max(float(np.mean(since[last])), 1e-300)))
+    window = np.ones(2 * smooth + 1) / (2 * smooth + 1)
+    return np.gradient(np.convolve(np.pad(y, smooth, mode="edge"), window, "valid"), times)
 
 
 def _is_clipped(head: Head, trial: Trial) -> bool:
@@ -325,56 +377,71 @@ def _is_clipped(head: Head, trial: Trial) -> bool:
     return any(look.flat_tops_of(trial.times, y, look.noise_floor_of(y), omega, held) for y in trial.channels)
 
 
-def _is_reversed(found: _Sum | None, declared: float) -> bool:
-    """Whether a sum with the sign of the second channel reversed is that of the torques, with about the declared J2."""
-    return found is not None and found.explained > _SHOWN and _OFF[0] < found.inertia / declared < _OFF[1]
+def _is_reversed(head: Head, trials: Sequence[_Filtered], own_swing: float) -> bool:
+    """Whether the torques add up with the sign of the second channel reversed, and with about the declared J2."""
+    free = _balance(head, trials, 0.0, own_swing, sign=-1.0)
+    found = _balance(head, trials, 0.0, own_swing, sign=-1.0, within=_about_declared(head))
+    if free is None or found is None:
+        return False
+    return found.explained > _SHOWN and 1.0 - found.explained <= _ALIKE * (1.0 - free.explained)
 
 
-def _balance(head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float, sign: float = 1.0) -> _Sum | None:
-    """The fit of J2 and of both dampings to coupled trials; lag : s by which the second channel is read later.
+def _balance(
+    head: Head, trials: Sequence[_Filtered], lag: float, own_swing: float, sign: float = 1.0,
+    within: tuple[float, float] = (0.0, math.inf),
+) -> _Sum | None:  # fmt: skip
+    """The fit of J2, dampings and dry frictions to coupled trials; lag : s by which the second channel is read later.
 
-    own_swing : k1t/J1 as uncoupled trials show it, over the declared one; sign : of the second channel. Of a spring
-    from the secondary to ground whose stiffness is uncertain, that is taken which balances best.
+    own_swing : k1t/J1 as uncoupled trials show it, over the declared one; sign : of the second channel; within : bounds
+    of J2. Springs are taken for as uncertain as they are declared.
 
     None where the records hold too little.
     """
     if not trials:
         return None
     rig = head.rig
+    beside, k3 = rig.inertial_coupling.value, rig.ground2_stiffness
     rows: list[Array] = []
-    targets: list[Array] = []
-    angles: list[Array] = []
     for filtered in trials:
         (th1, w1, a1), (th2, w2, a2) = filtered.first, (sign * x for x in filtered.second(lag))
-        beside = rig.inertial_coupling.value
-        mine = (rig.primary_inertia.value + beside) * a1 + own_swing * filtered.trial.k1t.value * th1
-        targets.append(mine + beside * a2)
-        angles.append(th2)
+        k1 = own_swing * filtered.trial.k1t.value
         one = np.ones_like(w1)
-        rows.append(np.stack([-a2, -w1, -w2, one, -one], axis=1))
-    from scipy.optimize import nnls  # slow to load, and the help of the command line reads this module
-
-    A, bare, th2 = np.concatenate(rows), np.concatenate(targets), np.concatenate(angles)
-    size = np.maximum(np.linalg.norm(A, axis=0), 1e-300)
-    to_ground = rig.ground2_stiffness
-    tried = np.unique(np.maximum(to_ground.value + to_ground.std * _OFF_BY, 0.0))
-    balanced = [(target, *nnls(A / size, target)) for target in (bare + k3 * th2 for k3 in tried)]
-    y, x, left = min(balanced, key=lambda found: found[2])
-    known = y - A[:, 3:] @ (x[3:] / size[3:])
-    total = float(np.linalg.norm(known))
-    if total <= 0.0:
+        dry1, dry2 = filtered.dry(lag)
+        off = math.hypot(own_swing * filtered.trial.k1t.std, k1 * rig.primary_inertia.std / rig.primary_inertia.value)
+        target = (rig.primary_inertia.value + beside) * a1 + k1 * th1 + beside * a2 + k3.value * th2
+        free = (-a2, -w1, -w2, -dry1, -sign * dry2, -off * th1, -k3.std * th2, one, target)
+        rows.append(np.stack(free, axis=1))
+    table = np.concatenate(rows)
+    size = np.append(np.maximum(np.linalg.norm(table[:, :-1], axis=0), 1e-300), 1.0)
+    R = np.asarray(np.linalg.qr(table / size, mode="r"))
+    # Springs are off by so many standard deviations, and there is none that pushes.
+    low = np.array([within[0], 0.0, 0.0, 0.0, 0.0, -_OFF_BY, -min(_OFF_BY, k3.value / max(k3.std, 1e-300)), -np.inf])
+    high = np.array([within[1], np.inf, np.inf, np.inf, np.inf, _OFF_BY, _OFF_BY, np.inf])
+    low, high = low * size[:-1], high * size[:-1] + 1e-12
+    x, left = _bounded(R, low, high)
+    if not np.any(R[:, -1] - R[:, -2] * x[-1]):
         return None
-    own = A[:, 0] - A[:, 1:3] @ np.linalg.lstsq(A[:, 1:3], A[:, 0], rcond=None)[0]
-    error = left / math.sqrt(y.size) / max(float(np.linalg.norm(own)), 1e-300) * math.sqrt(len(trials) * 4.0)
-    # What the dampings alone could explain says nothing of the second body.
-    without = nnls((A / size)[:, 1:], y)[1]
+    others = R[:, 1:-1]
+    own = (R[:, 0] - others @ np.linalg.lstsq(others, R[:, 0], rcond=None)[0]) * size[0]
+    error = left / math.sqrt(len(table)) / max(float(np.linalg.norm(own)), 1e-300) * math.sqrt(len(trials) * 4.0)
+    # What the rest alone could explain says nothing of the second body.
+    without = _bounded(R[:, 1:], low[1:], high[1:])[1]
     explained = 1.0 - (left / max(without, 1e-300)) ** 2
-    return _Sum(float(x[0] / size[0]), error, explained)
+    return _Sum(float(x[0] / size[0]), error, explained, left / size[0])
 
 
-def _stretch(trial: Trial) -> tuple[float, float]:
+def _bounded(R: Array, low: Array, high: Array) -> tuple[Array, float]:
+    """Least squares of the last column of a triangular table by the others, within bounds, and what it leaves."""
+    from scipy.optimize import lsq_linear  # slow to load, and the help of the command line reads this module
+
+    found = lsq_linear(R[:, :-1], R[:, -1], (low, high), method="bvls")
+    return found.x, math.sqrt(2.0 * found.cost)
+
+
+def _stretch(trial: Trial, channel: int = 0) -> tuple[float, float]:
     """From the first to the last reading that stands out from noise, s, the first reading behind a release left out."""
-    y = trial.channels[0] - np.median(trial.channels[0][-max(trial.times.size // 4, 1) :])
+    own = trial.channels[channel]
+    y = own - np.median(own[-max(trial.times.size // 4, 1) :])
     large = np.flatnonzero(np.abs(y) > max(0.02 * float(np.max(np.abs(y))), 6.0 * look.noise_floor_of(y)))
     if large.size < 2:
         return float(trial.times[0]), float(trial.times[0])

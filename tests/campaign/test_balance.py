@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from campaigns import CAMPAIGN_TOML, J1, J2, decay, write_table
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from bayes_damper.campaign import load_campaign
@@ -255,3 +256,35 @@ def test_noise_of_the_first_readings_turns_no_channel_round(tmp_path):
         found.append([wiring_of(campaign, trial) for trial in noisy])
     assert set(found[0]) == {None}
     assert set(found[1]) <= {"reversed", "mirrored"}
+
+
+def with_dry_friction(quantity, first, second_body, stiffness):
+    """As `motion`, with dry friction in both bearings (N m) and another coupling, by scipy's LSODA."""
+
+    def slopes(_, x):
+        coupling = stiffness * (x[0] - x[1]) + 0.02 * (x[2] - x[3])
+        return [
+            *x[2:],
+            (-K1 * x[0] - C1 * x[2] - coupling - first * math.tanh(x[2] / 0.02)) / J1,
+            (coupling - C3 * x[3] - second_body * math.tanh(x[3] / 0.02)) / J2,
+        ]
+
+    start = [math.radians(4.7)] * 2 + [0.0, 0.0]
+    x = solve_ivp(slopes, (0.0, TIMES[-1]), start, "LSODA", TIMES, rtol=1e-8, atol=1e-10).y
+    shown = {"displacement": x[:2], "velocity": x[2:], "acceleration": np.array([slopes(0.0, s)[2:] for s in x.T]).T}
+    return shown[quantity]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "first", "second_body", "stiffness"),
+    [
+        ("velocity", 0.05, 0.1, 3.0), ("velocity", 0.1, 0.1, 3.0), ("velocity", 0.02, 0.05, 1.2),
+        ("acceleration", 0.02, 0.05, 3.0), ("acceleration", 0.1, 0.1, 3.0), ("displacement", 0.1, 0.05, 1.2),
+    ],
+)  # fmt: skip
+def test_dry_friction_in_the_bearings_is_not_taken_for_a_late_channel(
+    tmp_path, monkeypatch, quantity, first, second_body, stiffness
+):
+    moved = with_dry_friction(quantity, first, second_body, stiffness)
+    monkeypatch.setattr(sys.modules[__name__], "motion", lambda _: moved)
+    assert "add up to zero" not in remarks(tmp_path / "c", second, quantity=quantity)
