@@ -230,14 +230,13 @@ def write_index() -> None:
     text = f"""\
 # What is proven, and by which command
 
-`make prove` runs every proof of the table that names it: statistical checks too long for `make test`, two at a time. It
-works in parts, kept in `results/prove/` (or the folder that `PROVE_OUT` names): stopped at any moment, the same command
-goes on where it was. Parts that another version of the modules in question has written count only where a tenth of
-their tasks, run again, gives the same bit for bit. One proof alone:
-`python -m pytest -m prove tests/prove/test_prove_bugs.py`.
+`make prove` runs the proofs in the table that have it as their command. They are statistical checks that take too
+long for `make test`. The work is split into parts, kept in `results/prove/` (or the folder in `PROVE_OUT`); after an
+interruption the same command continues. Parts written by another version of the code are reused only if a tenth of
+their tasks, run again, gives the same result bit for bit. To run one proof: `python -m pytest -m prove
+tests/prove/test_prove_bugs.py`.
 
-The CPU minutes are those that the parts took, on a machine with other work to do: {total:.0f} together,
-half of that by the clock on two cores; the limit is three hours.
+All parts together take {total:.0f} CPU minutes, half of that by the clock on two cores; the limit is three hours.
 
 | question | result | command | CPU, min | date | commit |
 | --- | --- | --- | --- | --- | --- |
