@@ -44,9 +44,8 @@ _TUNING = 200  # steps of warm-up after an annealed start
 _TAUS = 6  # of the latest round, that such a warm-up takes at least: a sample may have too much or too little of a mode
 _BLOCK = 25  # stored steps between two states
 _FEWEST_STORED = 75
-_MOST_ANEW = 2  # times that draws count as warm-up after all
 _CLOSE = 10.0  # autocorrelation time, steps, from which draws follow each other too closely for a good proposal
-_FEW = 10.0  # autocorrelation times that are few
+_FEW = 0.75  # of the autocorrelation times that a rule asks for, up to which it pays to begin anew
 _LEARNT_FROM = 8000  # draws of a round, of all ensembles together
 _OF_EACH = 2000  # of these
 _EARNED = ((0.45, 0.9), (0.1, 0.7), (0.05, 0.45), (0.02, 0.15), (0.0, 0.03))
@@ -149,7 +148,7 @@ class _Ensemble:
     tau: float = 1.0  # what is to be expected of the draws
     last: Array = field(default_factory=lambda: np.empty(0))  # (2, ndim + 1): mean and standard deviation last round
     rounds: int = 0
-    anew: int = 0  # how often draws were counted as warm-up
+    anew: int = 0  # draws that counted as warm-up when the mixture was last learnt from all of them, steps
     latest: Array = field(default_factory=lambda: np.empty(0))  # (n, ndim): draws of the last round of warm-up
     tried: int = 0
     taken: int = 0
@@ -283,18 +282,22 @@ class _Run:
         every = max(1, self.draws[0, ..., 0].size // _OF_EACH)
         self._learn(self.draws[:, ::every].reshape(-1, self.target.ndim))
         self.states = [
-            replace(s, steps=s.steps + s.drawn, drawn=0, tried=0, taken=0, anew=s.anew + 1) for s in self.states
+            replace(s, steps=s.steps + s.drawn, drawn=0, tried=0, taken=0, anew=s.drawn) for s in self.states
         ]
         self.draws, self.log_prob = self.draws[:, :0], self.log_prob[:, :0]
         self.thin, self.judged, self.verdict = 1, 0, None
 
     def _drawn_poorly(self) -> bool:
-        """Whether the draws, just judged, follow each other closely and are far fewer than a rule asks for."""
+        """Whether the draws, just judged, follow each other closely and are fewer than a rule asks for.
+
+        They must be twice as many as those from which the mixture was learnt, so that it has more to learn, and all
+        that count as warm-up in the end are at most twice those of the last time.
+        """
         verdict = self.verdict
-        if verdict is None or self.judged != self.draws.shape[1] * self.thin or self.states[0].anew >= _MOST_ANEW:
+        if verdict is None or self.judged != self.draws.shape[1] * self.thin or verdict.steps < 2 * self.states[0].anew:
             return False
         tau = float(verdict.tau.max())
-        return tau >= _CLOSE and verdict.steps <= min(_FEW, 0.5 * self.rule.taus) * tau
+        return tau >= _CLOSE and verdict.steps <= _FEW * self.rule.taus * tau
 
     def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.special import digamma, polygamma
 from bayes_damper.errors import InputError, Interrupted
 from bayes_damper.runs.checkpoint import Checkpoint
 from bayes_damper.sampling import Start, StoppingRule, diagnose_draws, sample
-from bayes_damper.sampling.convergence import stranded_walkers
+from bayes_damper.sampling.convergence import judge, stranded_walkers
 from bayes_damper.sampling.ensembles import _after_round, _fingerprint, _moves, _Run
 from bayes_damper.sampling.moves import fit_mixture
 from bayes_damper.sampling.normal_scores import InScores
@@ -480,3 +481,24 @@ def test_a_stranded_walker_is_found():
     heights = np.random.default_rng(0).standard_normal((2, 100, 16))
     heights[1, :, 3] -= 60.0
     assert stranded_walkers(heights) == ((1, 3),)
+
+
+@pytest.mark.parametrize(
+    ("steps", "tau", "anew", "poorly"),
+    [
+        (250, 20.0, 100, True),
+        (150, 20.0, 100, False),  # not twice what the mixture was learnt from
+        (350, 20.0, 100, False),  # 400 steps will do
+        (150, 20.0, 0, True),
+        (75, 9.0, 0, False),  # steps that follow each other as closely as those of a good proposal may
+    ],
+)
+def test_a_mixture_is_learnt_anew_from_twice_the_draws_while_many_are_wanting(steps, tau, anew, poorly):
+    target = Gaussian(3)
+    run = _Run(target, start_of(target), 0, 4, 32, StoppingRule(), None, None, None)
+    run.thin, run.judged, run.draws = 1, steps, np.zeros((4, steps, 32, 3))
+    rng = np.random.default_rng(0)
+    verdict = judge(("a", "b", "c"), rng.standard_normal((4, 75, 32, 3)), np.zeros((4, 75, 32)), 1, StoppingRule())
+    run.verdict = replace(verdict, steps=steps, tau=np.full(3, tau))
+    run.states = [replace(state, anew=anew) for state in run.states]
+    assert run._drawn_poorly() is poorly
