@@ -49,11 +49,13 @@ class Bars:
             BarColumn(bar_width=20),
             TextColumn("{task.percentage:>3.0f} %"),
             TimeElapsedColumn(),
+            TextColumn("{task.fields[left]}"),
             TextColumn("{task.fields[text]}"),
             console=console or Console(stderr=True),
         )
         self._known: dict[str, TaskID] = {}
         self._shares: dict[str, float] = {}
+        self._begun: dict[str, tuple[float, float]] = {}
         self._all: TaskID | None = None
         self._notices = Notices()
         self._bars.start()
@@ -66,17 +68,19 @@ class Bars:
             self._bars.console.print(notice, markup=False, highlight=False)
         if text != WAITING:
             if task not in self._known:
-                self._known[task] = self._bars.add_task(task, total=1.0, text=text)
+                self._known[task] = self._bars.add_task(task, total=1.0, text=text, left="")
+                self._begun[task] = (time.monotonic(), share)
             done = share >= 1.0
             self._bars.update(
-                self._known[task], completed=share, text=text, visible=not done or len(self._shares) <= _MOST_BARS
-            )
+                self._known[task], completed=share, text=text, visible=not done or len(self._shares) <= _MOST_BARS,
+                left=time_left(self._begun[task], share, time.monotonic()),
+            )  # fmt: skip
         if len(self._shares) > 1:
             self._draw_all()
 
     def _draw_all(self) -> None:
         if self._all is None:
-            self._all = self._bars.add_task("together", total=1.0, text="")
+            self._all = self._bars.add_task("together", total=1.0, text="", left="")
         done = sum(share >= 1.0 for share in self._shares.values())
         waiting = len(self._shares) - len(self._known)
         text = f"{done} of {len(self._shares)} parts done" + (f", {waiting} not begun" if waiting else "")
@@ -87,6 +91,25 @@ class Bars:
         self._bars.stop()
 
 
+_SURE_FROM = 0.1
+"""Share of a task from which the time that it took shows what it will take, with `_SURE_S` seconds at least."""
+_SURE_S = 5.0
+
+
+def time_left(begun: tuple[float, float], share: float, now: float) -> str:
+    """`about 40 s left`, of a task of which a share is done; "" where that says nothing yet.
+
+    begun : time (s) and share, above 0 if a stopped run goes on, at which it began; now : s.
+    """
+    seconds, done = now - begun[0], share - begun[1]
+    if share >= 1.0 or done < _SURE_FROM or seconds < _SURE_S:
+        return ""
+    left = seconds * (1.0 - share) / done
+    if left < 57.5:
+        return f"about {max(5 * round(left / 5.0), 5)} s left"
+    return f"about {round(left / 60.0)} min left" if left < 5400.0 else f"about {left / 3600.0:.1f} h left"
+
+
 _SILENT_S = 30.0
 """Seconds after which many alike steps report how many of them are done."""
 _REPEATED_S = 60.0
@@ -95,9 +118,9 @@ _REPEATED_S = 60.0
 
 @dataclass
 class _Part:
-    """A task as lines report it: s of the clock when it began and when it was last reported, and its stage then."""
+    """A task as lines report it: time (s) and share when it began, time when it was last reported, and its stage then."""
 
-    begun: float | None = None
+    begun: tuple[float, float] | None = None
     reported: float = 0.0
     stage: str = ""
     done: bool = False
@@ -129,18 +152,20 @@ class Lines:
             return
         now = self._clock()
         if part.begun is None:
-            part.begun = now
+            part.begun = now, share
         stage, part.done = _stage(text), share >= 1.0
         if stage == part.stage and not part.done and now - part.reported < _REPEATED_S:
             return
         part.stage, part.reported = stage, now
-        self.write(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {share:.0%} done: {text}")
+        left = time_left(part.begun, share, now)
+        how_far = f"{share:.0%} done, {left}" if left else f"{share:.0%} done"
+        self.write(f"{task}: {self._ended(part, text)}" if part.done else f"{task}, {how_far}: {text}")
 
     def _ended(self, part: _Part, text: str) -> str:
         assert part.begun is not None
         left = sum(not p.done for p in self._parts.values())
         waiting = sum(p.begun is None for p in self._parts.values())
-        ending = f"{text} in {_hours(part.reported - part.begun)}" if part.reported > part.begun else text
+        ending = f"{text} in {_hours(part.reported - part.begun[0])}" if part.reported > part.begun[0] else text
         if len(self._parts) > 1:
             ending += f"; left: {left} of {len(self._parts)} parts" + (f", {waiting} not begun" if waiting else "")
         return ending

@@ -12,7 +12,7 @@ from rich.console import Console
 from bayes_damper import cli
 from bayes_damper.errors import ExitCode, InputError, Interrupted
 from bayes_damper.runs.execution import WAITING, Task, run_tasks
-from bayes_damper.runs.progress import Bars, Lines, now_and_then
+from bayes_damper.runs.progress import Bars, Lines, now_and_then, time_left
 
 
 def seen(updates) -> str:
@@ -73,8 +73,8 @@ def test_a_log_has_a_line_for_each_stage_and_each_end_with_what_is_left():
     ]) == [
         "0:00:01  joint, 0% done: finding the best fit",
         "0:00:12  joint, 5% done: warm-up, 50 steps",
-        "0:00:32  joint, 12% done: drawing, 25 of about 75 steps",
-        "0:01:32  joint, 70% done: drawing, 75 of about 75 steps",
+        "0:00:32  joint, 12% done, about 4 min left: drawing, 25 of about 75 steps",
+        "0:01:32  joint, 70% done, about 40 s left: drawing, 75 of about 75 steps",
         "1:01:32  joint: done in 1:01:31; left: 1 of 2 parts, 1 not begun",
         "1:01:33  IV: done before; left: 0 of 2 parts",
     ]  # fmt: skip
@@ -199,3 +199,20 @@ def test_a_notice_is_shown_once_on_a_line_of_its_own():
     shown = " ".join(screen.getvalue().split())
     assert shown.count(f"IV: {notice}".strip()) == 1
     assert shown.count("THE MODEL MISSES SOMETHING") == 1
+
+
+@pytest.mark.parametrize(
+    ("begun", "share", "now", "left"),
+    [
+        ((0.0, 0.0), 0.05, 30.0, ""),  # too little of it to judge by
+        ((0.0, 0.0), 0.5, 3.0, ""),
+        ((0.0, 0.0), 1.0, 60.0, ""),
+        ((100.0, 0.0), 0.25, 110.0, "about 30 s left"),
+        ((0.0, 0.0), 0.99, 60.0, "about 5 s left"),
+        ((0.0, 0.0), 0.2, 60.0, "about 4 min left"),
+        ((0.0, 0.5), 0.625, 60.0, "about 3 min left"),  # a stopped run that goes on
+        ((0.0, 0.0), 0.1, 3600.0, "about 9.0 h left"),
+    ],
+)
+def test_the_time_left_follows_from_what_was_done_since_the_task_began(begun, share, now, left):
+    assert time_left(begun, share, now) == left
