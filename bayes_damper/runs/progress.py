@@ -118,7 +118,7 @@ _REPEATED_S = 60.0
 
 @dataclass
 class _Part:
-    """A task as lines report it: time (s) and share when it began, time when it was last reported, and its stage then."""
+    """A task as lines report it: time (s) and share when it began, time of its last line, and its stage then."""
 
     begun: tuple[float, float] | None = None
     reported: float = 0.0
