@@ -35,6 +35,8 @@ from bayes_damper.runs.parallel_map import single_threaded
 _POLL_S = 0.2
 _STATUS_EVERY_S = 0.5
 _MOST_BREAKDOWNS = 3
+_TASKS_OF_A_WORKER = 12
+"""So many for each worker, then all are started anew: a worker keeps a megabyte for every kernel that it has loaded."""
 _MOST_WORKERS = 10_000
 WAITING = "waiting"
 """What progress shows of a task that has not begun."""
@@ -203,7 +205,7 @@ def run_tasks(
         return _on_cluster(tasks, folder, scheduler, shown)
     for task in tasks:
         shown.update(task.name, 0.0, WAITING)
-    if workers == 1:
+    if workers == 1 and len(tasks) <= _TASKS_OF_A_WORKER:
         return {task.name: _here(task, folder, shown) for task in tasks}
     return _on_processes(tasks, folder, workers, shown)
 
@@ -230,10 +232,14 @@ def _here(task: Task, folder: Path, progress: Progress) -> Any:
 
 def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: Progress) -> dict[str, Any]:
     results: dict[str, Any] = {}
+    failed: dict[str, BaseException] = {}
     breakdowns = 0
     while True:
-        waiting = [task for task in tasks if task.name not in results]
+        waiting = [task for task in tasks if task.name not in results and task.name not in failed]
+        waiting = waiting[: workers * _TASKS_OF_A_WORKER]
         if not waiting:
+            for error in failed.values():
+                raise error
             return {task.name: results[task.name] for task in tasks}
         context = get_context("spawn")
         crew = (workers, context.Value("i", len(waiting)))
@@ -243,7 +249,7 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
                 futures: dict[Future[Any], Task] = {
                     pool.submit(_execute, task, folder / task.name): task for task in waiting
                 }
-            _collect(futures, folder, progress, results)
+            failed |= _collect(futures, folder, progress, results)
         except BrokenProcessPool:
             # A worker was killed from outside: what it had saved is there, so a new pool goes on with the rest.
             breakdowns += 1
@@ -337,9 +343,12 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, object]) -> None:
+def _collect(
+    futures: dict[Future[Any], Task], folder: Path, progress: Progress, results: dict[str, object]
+) -> dict[str, BaseException]:
+    """Fills `results`, task by task; the errors of those that failed, by name, the first one first."""
     pending = set(futures)
-    failure: BaseException | None = None
+    failed: dict[str, BaseException] = {}
     while pending:
         finished, pending = wait(pending, timeout=_POLL_S, return_when=FIRST_COMPLETED)
         for future in finished:
@@ -350,15 +359,14 @@ def _collect(futures: dict[Future[Any], Task], folder: Path, progress: Progress,
                 results[futures[future].name] = future.result()
                 progress.update(futures[future].name, 1.0, "done")
             else:
-                failure = failure or error
+                failed[futures[future].name] = error
         for future in pending:
             name = futures[future].name
             status = folder / name / "status.json"
             if status.exists():
                 status_now = read_json(status)
                 progress.update(name, status_now["share"], status_now["text"])
-    if failure is not None:
-        raise failure
+    return failed
 
 
 def _on_cluster(tasks: Sequence[Task], folder: Path, scheduler: str, progress: Progress) -> dict[str, Any]:

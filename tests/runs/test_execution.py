@@ -114,6 +114,37 @@ def test_the_last_task_may_use_the_workers_of_all(tmp_path):
     assert done.stdout.split() in (["[1,", "3]", "1"], ["[3]", "1"]), done.stdout
 
 
+FLEET = """
+import os
+
+def process(folder, report):
+    return os.getpid()
+
+def wrong(folder, report):
+    raise ValueError("this one is wrong")
+"""
+RUN_FLEET = """
+from pathlib import Path
+from fleet import process, wrong
+from bayes_damper.runs import execution
+from bayes_damper.runs.execution import Task, run_tasks
+execution._TASKS_OF_A_WORKER = 2
+tasks = [Task(f"t{i}", process) for i in range(5)]
+print(len(set(run_tasks(tasks, Path("out"), workers=1).values())))
+try:
+    run_tasks([Task("bad", wrong), *tasks], Path("other"), workers=1)
+except ValueError as error:
+    print(error, *sorted(path.parent.name for path in Path("other").glob("*/done.json")))
+"""
+
+
+def test_workers_of_many_tasks_are_started_anew_and_an_error_waits_for_all(tmp_path):
+    """What they have loaded is given back; five tasks, two for each process."""
+    where = python(tmp_path, fleet=FLEET, go=RUN_FLEET)
+    done = subprocess.run([sys.executable, "go.py"], **where, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["3", "this one is wrong t0 t1 t2 t3 t4"]
+
+
 def test_files_hold_null_where_a_number_is_not_finite(tmp_path):
     """Nothing that a long run found is lost to a single number that JSON cannot hold."""
     found = {"x": np.array([1.0, np.nan]), "y": {"z": (np.float64(np.inf), 2)}, "n": np.int64(3)}
