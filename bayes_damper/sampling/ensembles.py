@@ -290,14 +290,14 @@ class _Run:
     def _drawn_poorly(self) -> bool:
         """Whether the draws, just judged, follow each other closely and are fewer than a rule asks for.
 
-        They must be twice as many as those from which the mixture was learnt, so that it has more to learn, and all
-        that count as warm-up in the end are at most twice those of the last time.
+        They must be twice as many as those from which the mixture was learnt, so that it has more to learn. All that
+        count as warm-up in the end are then at most twice those of the last time, and half of the steps allowed.
         """
         verdict = self.verdict
         if verdict is None or self.judged != self.draws.shape[1] * self.thin or verdict.steps < 2 * self.states[0].anew:
             return False
         tau = float(verdict.tau.max())
-        return tau >= _CLOSE and verdict.steps <= _FEW * self.rule.taus * tau
+        return tau >= _CLOSE and verdict.steps <= min(_FEW * self.rule.taus * tau, self.rule.max_steps / 4)
 
     def draw(self, advance: _Advance) -> None:
         """Draws block by block until the rule holds or the budget is spent."""

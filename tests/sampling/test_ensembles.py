@@ -491,6 +491,7 @@ def test_a_stranded_walker_is_found():
         (350, 20.0, 100, False),  # 400 steps will do
         (150, 20.0, 0, True),
         (75, 9.0, 0, False),  # steps that follow each other as closely as those of a good proposal may
+        (9000, 1000.0, 4000, False),  # of 30 000 allowed
     ],
 )
 def test_a_mixture_is_learnt_anew_from_twice_the_draws_while_many_are_wanting(steps, tau, anew, poorly):
