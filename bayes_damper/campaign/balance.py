@@ -186,9 +186,10 @@ def _look_at_clock(
     """
     period = natural_period(head.rig, trials[0].trial)
     swings = [min(float(np.ptp(_stretch(f.trial, c))) for c in (0, 1)) / period for f in trials]
-    as_it_is = _balance(head, trials, 0.0, own_swing, within=_about_declared(head))
     declared = head.rig.secondary_inertia
-    holds = declared is not None and as_it_is is not None and as_it_is.left < _HOLDS * declared.value
+    assert declared is not None
+    as_it_is = _balance(head, trials, 0.0, own_swing, within=_about_declared(head))
+    holds = as_it_is is not None and as_it_is.left < _HOLDS * declared.value
     if holds or np.median(swings) < _SWINGS:
         return False
     omega = 2.0 * math.pi / period
@@ -261,7 +262,8 @@ def _is_lag(there: _Sum, here: _Sum) -> bool:
 def _about_declared(head: Head) -> tuple[float, float]:
     """Bounds of inertias that are about the declared one."""
     declared = head.rig.secondary_inertia
-    return (0.0, math.inf) if declared is None else (_OFF[0] * declared.value, _OFF[1] * declared.value)
+    assert declared is not None  # asked by look_at_balance
+    return _OFF[0] * declared.value, _OFF[1] * declared.value
 
 
 def _is_as_declared(head: Head, found: _Sum) -> bool:
@@ -302,28 +304,29 @@ def _is_noise(trial: Trial, head: Head, warnings: list[str]) -> bool:
 
 @dataclass(frozen=True)
 class _Filtered:
-    """What a coupled trial gives to the sum of torques whatever the lag: its first channel, filtered, and the bumps."""
+    """What a coupled trial gives to the sum of torques whatever the lag: its first channel, filtered, and the bumps.
+
+    Angle, its rate, its acceleration, and the dry friction of a body over its size, each filtered by the bump of its
+    place in `bumps`.
+    """
 
     trial: Trial
     grid: Array  # (n,) s
-    bumps: tuple[Array, Array, Array]  # of the angle, its rate and its acceleration
-    first: tuple[Array, Array, Array]
-    rates: tuple[Array, Array]  # velocities of both bodies at the times of the trial, about
-    friction: int  # which of the bumps dry friction is filtered by
+    bumps: tuple[Array, Array, Array, Array]
+    rate: Array  # velocity of the second body at the times of the trial, about
+    first: list[Array]
 
     def second(self, lag: float) -> list[Array]:
         """The second channel, read later by `lag` (s), filtered alike."""
-        y = np.interp(self.grid + lag, self.trial.times, self.trial.channels[1])
-        return [np.convolve(y, bump, "valid") for bump in self.bumps]
+        return _through(self.bumps, self.grid + lag, self.trial.times, self.trial.channels[1], self.rate)
 
-    def dry(self, lag: float) -> list[Array]:
-        """Dry friction of both bodies over its size, filtered alike."""
-        found = []
-        for rate, late in zip(self.rates, (0.0, lag), strict=True):
-            w = np.interp(self.grid + late, self.trial.times, rate)
-            least = _SLOW * float(np.max(np.abs(w))) + 1e-300
-            found.append(np.convolve(w / np.hypot(w, least), self.bumps[self.friction], "valid"))
-        return found
+
+def _through(bumps: Sequence[Array], at: Array, times: Array, y: Array, rate: Array) -> list[Array]:
+    """Readings y thrice, and the way of a velocity, on a grid of times, each filtered by its bump."""
+    readings, w = np.interp(at, times, y), np.interp(at, times, rate)
+    least = _SLOW * float(np.max(np.abs(w))) + 1e-300
+    signals = (readings, readings, readings, w / np.hypot(w, least))
+    return [np.convolve(signal, bump, "valid") for signal, bump in zip(signals, bumps, strict=True)]
 
 
 def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
@@ -344,13 +347,10 @@ def _filtered(head: Head, trials: Sequence[Trial]) -> list[_Filtered]:
             4.0 * rate * np.sin(x) ** 3 * np.cos(x),
             4.0 * rate**2 * (3.0 * np.sin(x) ** 2 * np.cos(x) ** 2 - np.sin(x) ** 4),
         )
-        bumps = (bump[::-1], -slope[::-1], bend[::-1])
-        y = np.interp(grid, trial.times, trial.channels[0])
-        th, w, a = (np.convolve(y, kernel, "valid") for kernel in bumps)
-        rates = [_rate(trial.times, y, head.measurement.quantity, max(width // 20, 1)) for y in trial.channels]
-        found.append(
-            _Filtered(trial, grid, bumps, (th, w, a), (rates[0], rates[1]), _DERIVED[head.measurement.quantity])
-        )
+        derived = (bump[::-1], -slope[::-1], bend[::-1])
+        bumps = (*derived, derived[_DERIVED[head.measurement.quantity]])
+        one, other = (_rate(trial.times, y, head.measurement.quantity, max(width // 20, 1)) for y in trial.channels)
+        found.append(_Filtered(trial, grid, bumps, other, _through(bumps, grid, trial.times, trial.channels[0], one)))
     return found
 
 
@@ -403,13 +403,12 @@ def _balance(
     beside, k3 = rig.inertial_coupling.value, rig.ground2_stiffness
     rows: list[Array] = []
     for filtered in trials:
-        (th1, w1, a1), (th2, w2, a2) = filtered.first, (sign * x for x in filtered.second(lag))
+        (th1, w1, a1, dry1), (th2, w2, a2, dry2) = filtered.first, (sign * x for x in filtered.second(lag))
         k1 = own_swing * filtered.trial.k1t.value
         one = np.ones_like(w1)
-        dry1, dry2 = filtered.dry(lag)
         off = math.hypot(own_swing * filtered.trial.k1t.std, k1 * rig.primary_inertia.std / rig.primary_inertia.value)
         target = (rig.primary_inertia.value + beside) * a1 + k1 * th1 + beside * a2 + k3.value * th2
-        free = (-a2, -w1, -w2, -dry1, -sign * dry2, -off * th1, -k3.std * th2, one, target)
+        free = (-a2, -w1, -w2, -dry1, -dry2, -off * th1, -k3.std * th2, one, target)
         rows.append(np.stack(free, axis=1))
     table = np.concatenate(rows)
     size = np.append(np.maximum(np.linalg.norm(table[:, :-1], axis=0), 1e-300), 1.0)

@@ -238,8 +238,8 @@ def _on_processes(tasks: Sequence[Task], folder: Path, workers: int, progress: P
         waiting = [task for task in tasks if task.name not in results and task.name not in failed]
         waiting = waiting[: workers * _TASKS_OF_A_WORKER]
         if not waiting:
-            for error in failed.values():
-                raise error
+            if failed:
+                raise next(iter(failed.values()))
             return {task.name: results[task.name] for task in tasks}
         context = get_context("spawn")
         crew = (workers, context.Value("i", len(waiting)))

@@ -233,8 +233,8 @@ def write_index() -> None:
 `make prove` runs the proofs in the table that have it as their command. They are statistical checks that take too
 long for `make test`. The work is split into parts, kept in `results/prove/` (or the folder in `PROVE_OUT`); after an
 interruption the same command continues. Parts written by another version of the code are reused only if a tenth of
-their tasks, run again, gives the same result bit for bit. To run one proof: `python -m pytest -m prove
-tests/prove/test_prove_bugs.py`.
+their tasks, run again, gives the same result bit for bit. To run one proof:
+`python -m pytest -m prove tests/prove/test_prove_bugs.py`.
 
 All parts together take {total:.0f} CPU minutes, half of that by the clock on two cores; the limit is three hours.
 
