@@ -78,11 +78,11 @@ class Calibration:
 
     @property
     def pulled(self) -> dict[str, float]:
-        """Declared constants that the fit moved by more than 3 of their standard deviations."""
+        """Declared constants, of rig and sensors, that the fit moved by more than 3 of their standard deviations."""
         return {
             c.name: float(self.q[i])
             for i, c in enumerate(self.problem.coordinates)
-            if c.role in ("constant", "stiffness") and abs(self.q[i]) > 3.0
+            if c.role in ("constant", "stiffness", "sensor", "lag") and abs(self.q[i]) > 3.0
         }
 
     def interval(self, name: str, share: float = 0.9) -> tuple[float, float]:

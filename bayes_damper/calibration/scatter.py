@@ -300,6 +300,12 @@ def times_of_release(fit: Calibration) -> list[float]:
     return own_values(fit, RELEASE)
 
 
+def slow_alike(fit: Calibration) -> bool:
+    """Whether all trials are released in about the same time, which is long for a latch."""
+    times = times_of_release(fit)
+    return bool(times) and min(times) > SLOW * TYPICAL[RELEASE] and max(times) < SAME_WAY * min(times)
+
+
 def own_values(fit: Calibration, nuisance: str) -> list[float]:
     """The value of a nuisance in each trial, in its unit; empty where the fit has none."""
     return [
@@ -637,9 +643,8 @@ def scatter_in_words(fit: Calibration) -> list[str]:
         out.append(
             f"Differs from trial to trial: {listed}. The fit allows each trial its own value; no cause is named for it."
         )
-    times = 1e3 * np.array(times_of_release(fit))
-    slow = times.size > 0 and bool(times.min() > SLOW * 1e3 * TYPICAL[RELEASE])
-    if slow and times.max() < SAME_WAY * times.min():
+    if slow_alike(fit):
+        times = 1e3 * np.array(times_of_release(fit))
         out.append(
             f"The trials are released over {times.min():.3g} to {times.max():.3g} ms, which is long for a latch "
             f"({1e3 * TYPICAL[RELEASE]:g} ms is typical). The fit allows each trial its own time, and no cause "

@@ -26,6 +26,7 @@ from bayes_damper.calibration import (
     under,
 )
 from bayes_damper.calibration.latency import AS_LATE, with_latency
+from bayes_damper.calibration.scatter import slow_alike
 from bayes_damper.diagnosis.budget import UNLIKELY, Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.lone import leaving
@@ -339,6 +340,8 @@ def _at(found: SiteMap, sites: Collection[str]) -> float:
 
 def _usual_release(fit: Calibration, winner: Candidate, rule: Rule) -> float:
     """Nats of an effect of the release that a release of each trial's own explains as well."""
+    if slow_alike(fit):
+        return 0.0  # that is no latch
     # The law by which single trials are let go is as inexact as a formula.
     inexact = min(winner.log_evidence, rule.mismatch * explained_by_own_releases(fit))
     return max(gained_by_own_releases(fit), inexact)

@@ -17,7 +17,7 @@ import numpy as np
 
 from bayes_damper.calibration import Calibration, calibrate
 from bayes_damper.calibration.noise import tails_of
-from bayes_damper.diagnosis.gap import squares_of_trials
+from bayes_damper.diagnosis.gap import OUT_OF_REACH, squares_of_trials
 from bayes_damper.diagnosis.outliers import without
 from bayes_damper.diagnosis.remainder import odd_shapes
 from bayes_damper.diagnosis.shares import products_of
@@ -32,12 +32,14 @@ def left_alone(nominal: Calibration, fit: Calibration, rule: Rule = RULE) -> Lef
     That noise, from the readings' fast content, is the floor here. The share is the mean over trials: the swing of
     largest amplitude, where models err most, does not decide alone. Heavy tails of the noise belong to the floor: what
     an answer leaves shows them, but not what the nominal model leaves, in which events of a gap are as rare and large.
+    Nor does noise account for a declared constant that the nominal model takes far out of its reach.
     Where no trial stands out of that noise, sums of squares say little of the share, and products of residuals in which
     noise averages out (shares.py) give it if they can.
     """
     before, floor = squares_of_trials(nominal)
     if fit is nominal:
-        return left_of_squares(before, before, floor, rule)
+        left = left_of_squares(before, before, floor, rule)
+        return replace(left, nats=left.nats + 0.5 * sum(z**2 for z in nominal.pulled.values() if abs(z) > OUT_OF_REACH))
     after, _ = squares_of_trials(fit)
     sds = fit.problem.noise.floor
     residuals, trials = fit.residuals(), nominal.problem.experiment.trials

@@ -31,7 +31,7 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.nominal import out_of_phase
 from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
-from bayes_damper.diagnosis import diagnose, judgement, pairs, pipeline
+from bayes_damper.diagnosis import diagnose, judgement, lone, pairs, pipeline
 from bayes_damper.diagnosis import sensitivity as sensitivities
 from bayes_damper.diagnosis.generic import DRIFT
 from bayes_damper.diagnosis.judgement import finished, sites_of
@@ -835,6 +835,25 @@ def test_a_drift_of_the_coupling_does_nothing_to_the_primary_alone():
         rates = {"spring": 0.0, "bearings": 0.0, "coupling": 0.3, "friction": -0.3}
         change = drifting.simulate(rig, times, effect=rates).y - bare.simulate(rig, times).y
         assert (np.abs(change).max() > 0.1) == coupled
+
+
+@pytest.mark.parametrize(("slow", "nats"), [(False, 1200.0), (True, 0.0)])
+def test_releases_that_are_slow_in_all_trials_are_no_usual_ones(monkeypatch, slow, nats):
+    """A gripper that opens over 22 ms was `unknown` 1.00: own times of 15 ms explained most of it."""
+    monkeypatch.setattr(judgement, "explained_by_own_releases", lambda _: 30_000.0)
+    monkeypatch.setattr(judgement, "gained_by_own_releases", lambda _: 0.0)
+    monkeypatch.setattr(judgement, "slow_alike", lambda _: slow)
+    winner = SimpleNamespace(log_evidence=1213.0)
+    assert judgement._usual_release(None, winner, RULE) == pytest.approx(nats)
+
+
+def test_noise_does_not_account_for_a_constant_that_is_far_out_of_its_reach(monkeypatch):
+    """A second sensor 9 % too high, declared to .4 %, was `none` .56: its scale, free within that, took the gap up."""
+    squares = np.array([2000.0, 2000.0])
+    monkeypatch.setattr(lone, "squares_of_trials", lambda _: (squares, squares))
+    within, far = (SimpleNamespace(pulled={"scale2": z}) for z in (4.0, 9.0))
+    assert left_alone(within, within).nats == pytest.approx(0.0)
+    assert left_alone(far, far).nats == pytest.approx(40.5)
 
 
 def test_a_drift_that_beats_every_effect_counts_for_unknown():
