@@ -140,7 +140,7 @@ def budget_of(
         weights = probabilities(left, offered)
         named = [names for names in weights if names and "unknown" not in names and weights[names] > UNLIKELY]
         top = max(named if shows and named else weights, key=lambda names: weights[names])
-        top = frozenset() if "unknown" in top else top  # a drift of the nominal laws has no name
+        top = frozenset() if "unknown" in top else top  # of generic.py
         best = next(s for s in left if s.names == top)
         parts, unexplained, leading = _parts(nominal, best, sets, weights, outside, rng)
         least = min(parts, key=lambda part: part.kept, default=None)

@@ -1,20 +1,27 @@
-"""What stands for causes that no effect of the library names: laws of the nominal rig that change while a trial runs.
+"""What stands for causes that no effect of the library names: nominal laws that change while a trial runs, and a
+sensor that is not straight.
 
-A slow drift is imitated almost perfectly by effects that grow or fade with the amplitude, so that tests of the
-remainder miss it. As a candidate of its own it wins only where it explains better than each of them; its probability
-counts for the answer `unknown`.
+Effects that grow or fade with the amplitude imitate a slow change almost perfectly, and a spring that is not straight
+imitates a reading that is not, so that tests of the remainder miss them. As candidates of their own they win only where
+they explain better than each effect; their probability counts for the answer `unknown`.
 """
 
 from __future__ import annotations
 
-from bayes_damper.effects.base import Effect, EffectParameter, Variant
-from bayes_damper.priors.distributions import Normal
-from bayes_damper.rig.vector_math import lane, smooth_sign
+from collections.abc import Mapping, Sequence
+
+from bayes_damper.effects.base import Effect, EffectParameter, Site, Variant
+from bayes_damper.priors.distributions import LogUniform, Normal
+from bayes_damper.rig.parameters import OF_EFFECT
+from bayes_damper.rig.vector_math import exp, lane, smooth_sign
+
+UNKNOWN = "unknown"
+"""Name of all of them: the answer that they count for."""
 
 
 @lane
-def drifting(t, th1, th2, w1, w2, z1, z2, p, rig):
-    """Each nominal torque times the time since release: spring, bearings, coupling, friction of the faces."""
+def changed(th1, th2, w1, w2, share, p, rig):
+    """A share of each nominal torque, times a factor of its own: spring, bearings, coupling, friction of the faces."""
     phi = th1 - th2
     v = w1 - w2
     spring = p[0] * rig.k1t * th1
@@ -22,7 +29,43 @@ def drifting(t, th1, th2, w1, w2, z1, z2, p, rig):
     bearing2 = p[1] * (rig.c3t * w2 + rig.drag * smooth_sign(rig.nu * w2, rig.tail))
     pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.slope * abs(phi))
     joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * pull * smooth_sign(rig.nu * v, rig.tail)
-    return -t * (spring + bearing1 + joint), t * (joint - bearing2)
+    return -share * (spring + bearing1 + joint), share * (joint - bearing2)
+
+
+@lane
+def drifting(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Each nominal torque times the time since release."""
+    return changed(th1, th2, w1, w2, t, p, rig)
+
+
+@lane
+def settling(t, th1, th2, w1, w2, z1, z2, p, rig):
+    """Each nominal torque times what is left after the time since release of a change that dies away."""
+    return changed(th1, th2, w1, w2, exp(-t / p[4]), p, rig)
+
+
+@lane
+def curved(y, a, b, c):
+    """A reading with a square, a cubic and a fourth power of itself."""
+    return y * (1.0 + y * (a + y * (b + y * c)))
+
+
+@lane
+def curved1(h, u1, u2, y1, y2, s1, s2, p, first):
+    """The primary's channel."""
+    return curved(y1, p[0], p[1], p[2]), y2, s1, s2
+
+
+@lane
+def curved2(h, u1, u2, y1, y2, s1, s2, p, first):
+    """The secondary's channel."""
+    return y1, curved(y2, p[0], p[1], p[2]), s1, s2
+
+
+_LAWS = (
+    ("spring", "the spring to ground"), ("bearings", "the bearings"), ("coupling", "the coupling"),
+    ("friction", "the faces"),
+)  # fmt: skip
 
 
 def _rate(name: str, of: str) -> EffectParameter:
@@ -32,27 +75,91 @@ def _rate(name: str, of: str) -> EffectParameter:
     )  # fmt: skip
 
 
-DRIFT = Effect(
-    name="unknown",
+def _share(name: str, of: str) -> EffectParameter:
+    return EffectParameter(
+        name, "1", f"Relative change at the release of the torque of {of}.",
+        Normal(0.0, 1.0 if name in ("bearings", "friction") else 0.3),
+        "Grease and rubbing faces may begin with twice their later drag; a stiffness changes by a third, hardly more.",
+        0.0,
+    )  # fmt: skip
+
+
+def _power(name: str, power: int) -> EffectParameter:
+    return EffectParameter(
+        name, f"1/reading^{power}", f"Error of a reading over its power {power + 1}.", Normal(0.0, 0.05 / 200.0**power),
+        "At usual peaks a faulty sensor is off by some per cent.", 0.0,
+    )  # fmt: skip
+
+
+_TIME = EffectParameter(
+    "time", "s", "Time in which the change dies away.", LogUniform(0.05, 5.0),
+    "From half a period of the rig to longer than most records; what is faster belongs to the release.",
+)  # fmt: skip
+
+
+def _one_by_one(sizes: Sequence[float], *rest: float) -> tuple[tuple[float, ...], ...]:
+    """Starts: each law alone, up and down."""
+    each = [(k, sign * size) for sign in (1.0, -1.0) for k, size in enumerate(sizes)]
+    return tuple((*(x if i == k else 0.0 for i in range(len(sizes))), *rest) for k, x in each)
+
+
+_BENT = tuple((a, b, 0.0) for a, b in ((5e-5, 0.0), (-5e-5, 0.0), (0.0, 5e-7), (0.0, -5e-7)))
+_CURVE = tuple(_power(name, power) for name, power in (("square", 1), ("cube", 2), ("fourth", 3)))
+
+CHANGE = Effect(
+    name=UNKNOWN,
     site="ground1",
     summary="A law of the nominal rig changes while a trial runs, for a reason that the library does not name.",
     looks_like="Early and late swings that no single set of parameters fits.",
     hides_behind=("k1t", "c1t", "drag"),
-    source="Own formula: first order of any slow change.",
+    source="Own formulas: first order of any slow change, and a change that dies away.",
     variants=(
         Variant(
             name="drift",
             formula="Q = -t (a1 k1t th1 + a2 bearings + a3 coupling + a4 friction)",
-            parameters=(
-                _rate("spring", "the spring to ground"), _rate("bearings", "the bearings"),
-                _rate("coupling", "the coupling"), _rate("friction", "the faces"),
-            ),
+            parameters=tuple(_rate(name, of) for name, of in _LAWS),
             torque=drifting,
             timed=True,
-            starts=(
-                (0.05, 0.0, 0.0, 0.0), (0.0, 0.2, 0.0, 0.0), (0.0, 0.0, 0.2, 0.0), (0.0, 0.0, 0.0, 0.3),
-                (-0.05, 0.0, 0.0, 0.0), (0.0, -0.2, 0.0, 0.0), (0.0, 0.0, -0.2, 0.0), (0.0, 0.0, 0.0, -0.3),
-            ),
+            starts=_one_by_one((0.05, 0.2, 0.2, 0.3)),
+        ),
+        Variant(
+            name="settling",
+            formula="Q = -exp(-t/tau) (a1 k1t th1 + a2 bearings + a3 coupling + a4 friction)",
+            parameters=(*(_share(name, of) for name, of in _LAWS), _TIME),
+            torque=settling,
+            timed=True,
+            starts=tuple(p for tau in (0.1, 0.6) for p in _one_by_one((0.02, 0.2, 0.2, 0.3), tau)),
         ),
     ),
 )  # fmt: skip
+CURVED = Effect(
+    name=UNKNOWN,
+    site="sensor",
+    summary="A channel is not straight, for a reason that the library does not name.",
+    looks_like="Swings of another shape, or not alike to both sides, at the frequency of the model.",
+    hides_behind=("theta0", "k1t"),
+    source="Own formula: the first terms of any smooth error of a reading.",
+    variants=tuple(
+        Variant(
+            name=f"channel{channel}",
+            formula=f"m{channel} = y{channel} (1 + a y{channel} + b y{channel}^2 + c y{channel}^3)",
+            parameters=_CURVE, sense=sense, starts=_BENT, uncoupled=channel == 1,
+        )
+        for channel, sense in ((1, curved1), (2, curved2))
+    ),
+)  # fmt: skip
+GENERIC = (CHANGE, CURVED)
+_SITES: dict[str, Site] = {
+    "spring": "ground1", "bearings": "bearings", "coupling": "interface", "friction": "interface",
+}  # fmt: skip
+
+
+def site_of(effect: Effect, parameters: Mapping[str, tuple[float, float]]) -> Site:
+    """Where a cause without a name acts; parameters : value and standard deviation of each unknown of its fit.
+
+    Of laws that change together that of the largest change over its standard deviation.
+    """
+    if effect is not CHANGE:
+        return effect.site
+    clear = {name: abs(value) / max(sd, 1e-300) for name, (value, sd) in parameters.items()}
+    return _SITES[max(_SITES, key=lambda law: clear[OF_EFFECT + law])]

@@ -28,11 +28,11 @@ from bayes_damper.calibration import (
 from bayes_damper.calibration.latency import AS_LATE, with_latency
 from bayes_damper.calibration.scatter import slow_alike
 from bayes_damper.diagnosis.budget import UNLIKELY, Budget, answers_of, budget_of, foreign_alone, idle_alone
-from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.generic import UNKNOWN
 from bayes_damper.diagnosis.lone import leaving
 from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, odd_shapes, readings_of_change, remainder_of
-from bayes_damper.diagnosis.search import Candidate, drifts_of, search
+from bayes_damper.diagnosis.search import Candidate, generics_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, sensitivity, sensitivity_of_sets
 from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities, support
 from bayes_damper.diagnosis.sites import SiteMap, site_map
@@ -58,8 +58,8 @@ class Seen:
 
     found : candidates, best first; leading : fit of the leading answer; before, after : tests of what the nominal
     model and that answer leave, and maps of their sites; evidence : family -> log evidence over the nominal model;
-    drift : the same of a drift of the nominal laws; wiring : channels under a wrong name, where that explains more
-    than any effect.
+    drift : the same of causes without a name (generic.py); wiring : channels under a wrong name, where that explains
+    more than any effect.
     """
 
     fit: Calibration
@@ -98,7 +98,7 @@ class Seen:
         before = remainder_of(fit)
         after = before if leading is None else remainder_of(leading)
         evidence = family_evidence(found)
-        drift = evidence.pop(DRIFT.name)
+        drift = evidence.pop(UNKNOWN)
         wiring = miswired(fit)
         if wiring is not None and wiring.gain <= max(evidence.values(), default=0.0):
             wiring = None
@@ -138,7 +138,7 @@ def judge_without_repeats(
     if own != fit.problem.switches.scatter:
         report("the leading answer leaves no more than the trials may differ by; searching again, with values for each")
         fit = _under_what_it_leaves(under(fit, fit.problem.noise, own))
-        found = search(fit, [*pool, *drifts_of(fit.problem.experiment)], workers=workers, report=report)
+        found = search(fit, [*pool, *generics_of(fit.problem.experiment)], workers=workers, report=report)
         sets = grown(fit, found, pool, workers=workers, report=report)
     fit = next(s.fit for s in sets if not s.members)
     first = next((s.fit for s in sets if s.members), None)
@@ -193,7 +193,7 @@ def judge_by_repeats(
     winner = seen.winner
     none_left = left_of(seen.before, seen.before_map.strength, seen.before, seen.before_map.strength)
     left = _left_by_winner(seen)
-    seconds = [] if winner is None or winner.effect is DRIFT else seconds_of(winner, fit, pool, workers)
+    seconds = [] if winner is None or winner.effect.name == UNKNOWN else seconds_of(winner, fit, pool, workers)
     pairs: list[Pair] = []
     if max(left.nats, max((s.gain for s in seconds), default=0.0)) > PAIR_FROM:
         report("the leading effect leaves something: fitting it together with others")
@@ -207,7 +207,7 @@ def judge_by_repeats(
     def judge(changes: Mapping[str, float], of_pairs: Mapping[str, float], rule: Rule = rule) -> Answers:
         moved = {n: z + changes.get(n, 0.0) for n, z in seen.evidence.items()}
         both = [(p.effects, p.log_evidence + of_pairs.get("+".join(p.effects), 0.0), remains) for p, remains in judged]
-        other = seen.drift + changes.get(DRIFT.name, 0.0)
+        other = seen.drift + changes.get(UNKNOWN, 0.0)
         if seen.wiring is not None:
             other = float(np.logaddexp(other, seen.wiring.gain))
         found = weigh(moved, none_left, left, excess, rule, both, other, seen.definitions, usual, late)
@@ -220,7 +220,7 @@ def judge_by_repeats(
     budget = _budget(seen, sets, dict.fromkeys((s.names for s in sets), given_a_gap(answers)), rng)
     report(OTHER_CHOICES)
     choices = sensitivity(
-        fit, seen.families, judge, answers.verdict, {**seen.evidence, DRIFT.name: seen.drift},
+        fit, seen.families, judge, answers.verdict, {**seen.evidence, UNKNOWN: seen.drift},
         {"+".join(p.effects): p.fit for p, _ in judged},
     )  # fmt: skip
     return Judgement(

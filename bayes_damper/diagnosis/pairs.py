@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from bayes_damper.calibration import Calibration, Coordinate, Group, Indices, Problem, calibrate, simulated_once
 from bayes_damper.calibration.least_squares import essence, restored
-from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.generic import UNKNOWN
 from bayes_damper.diagnosis.remainder import Remainder, remainder_of
 from bayes_damper.diagnosis.search import (
     FAINTER,
@@ -264,7 +264,7 @@ def leaders_of(found: Sequence[Candidate], count: int = LEADERS) -> list[Candida
     """The best fitted formula of each of the leading families."""
     held: dict[str, Candidate] = {}
     for c in found:
-        if c.effect.name != DRIFT.name and c.fit is not None and math.isfinite(c.log_evidence):
+        if c.effect.name != UNKNOWN and c.fit is not None and math.isfinite(c.log_evidence):
             held.setdefault(c.effect.name, c)
     return list(held.values())[:count]
 

@@ -24,7 +24,7 @@ from bayes_damper.campaign import Campaign
 from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import closing, measure_gap
-from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.generic import UNKNOWN, site_of
 from bayes_damper.diagnosis.judgement import judge_by_repeats, judge_without_repeats, sites_of
 from bayes_damper.diagnosis.later import continued
 from bayes_damper.diagnosis.law import learn
@@ -39,7 +39,7 @@ from bayes_damper.diagnosis.outliers import (
     without_trials,
 )
 from bayes_damper.diagnosis.result import Diagnosis
-from bayes_damper.diagnosis.search import Candidate, drifts_of, from_usual_friction, offered, search
+from bayes_damper.diagnosis.search import Candidate, from_usual_friction, generics_of, offered, search
 from bayes_damper.diagnosis.sensitivity import in_a_sentence
 from bayes_damper.diagnosis.sites import SiteMap, site_map
 from bayes_damper.diagnosis.verdict import RULE, Answers, Rule
@@ -113,7 +113,7 @@ def _diagnosed(
     pair = next((p for p in pairs if p.effects == answers.pair_effects), None)
     report(f"most probable answer so far: {answers.verdict}")
     best = pair.fit if pair is not None and answers.pair >= 0.5 else None if winner is None else winner.fit
-    known = None if winner is None or winner.effect is DRIFT else winner  # a drift stands for what nobody can name
+    known = None if winner is None or winner.effect.name == UNKNOWN else winner
     named = best if known is not None and answers.verdict == known.effect.name else None
     if seen.wiring is not None:
         notes.insert(0, seen.wiring.sentence())
@@ -142,7 +142,7 @@ def _diagnosed(
         site_map=before_map, remainder_map=after_map, proposals=proposals,
         sites=_sites(
             answers, effects, before_map, after_map, sites_of(experiment), seen.wiring is not None,
-            None if known is None else known.effect.site,
+            _done_at(found, known),
         ),
         evidence=evidence, indistinguishable=tuple(_indistinct(evidence, effects)), pair=pair, notes=tuple(notes),
         seconds=time.perf_counter() - began, seed=seed, pairs=tuple(pairs), drift=seen.drift, best=best,
@@ -179,7 +179,7 @@ def _searched(
     The model has the damping of each case's own spring, and an instant of each release, where that explains more than
     any effect, or than any that would show alike.
     """
-    pool = [*pool, *drifts_of(fit.problem.experiment)]
+    pool = [*pool, *generics_of(fit.problem.experiment)]
     found = search(fit, pool, workers=workers, report=report)
     leader = found[0].fit
     own = with_damping_of_each_case(fit, fit.cost if leader is None else min(fit.cost, leader.cost))
@@ -239,13 +239,14 @@ def _located(before: SiteMap, after: SiteMap, report: Callable[[str], None]) -> 
 
 def _sites(
     answers: Answers, effects: Mapping[str, Effect], before: SiteMap, after: SiteMap, known: Sequence[str],
-    miswired: bool = False, imitator: str | None = None,
+    miswired: bool = False, done_at: tuple[str, bool] | None = None,
 ) -> dict[str, float]:  # fmt: skip
     """Probability of each site: effects at their own, `unknown` as the site maps of gap and remainder say.
 
     known : the sites that the rig has; miswired : channels under a wrong name explain the gap better than any torque,
-    so it lies at the sensors; imitator : site of the leading effect: what this closes of the gap with a shape that such
-    effects do not have is done there, by something else, unless what it leaves lies at another site.
+    so it lies at the sensors; done_at : site of the leading candidate, and whether it has no name: what it closes of
+    the gap, with a name if its shape is one that such effects do not have, is done there by something else, unless what
+    it leaves lies at another site.
     """
     sites = dict.fromkeys((*known, "none"), 0.0)
     for name, p in answers.probabilities.items():
@@ -263,14 +264,23 @@ def _sites(
         weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
     imitated = 0.0
-    if imitator is not None:
-        rest = {site: after.probabilities.get(site, 0.0) for site in (*known, imitator)}
-        at_home = 1.0 - (max(rest.values()) - rest[imitator])
-        imitated = (1.0 - answers.left.share) * -math.expm1(-answers.left.odd) * at_home
+    if done_at is not None:
+        place, nameless = done_at
+        rest = {site: after.probabilities.get(site, 0.0) for site in (*known, place)}
+        at_home = 1.0 - (max(rest.values()) - rest[place])
+        imitated = (1.0 - answers.left.share) * (1.0 if nameless else -math.expm1(-answers.left.odd)) * at_home
     for site in known:
-        share = imitated * (site == imitator) + (1.0 - imitated) * weights[site] / total
+        share = imitated * (done_at is not None and site == done_at[0]) + (1.0 - imitated) * weights[site] / total
         sites[site] += answers.probabilities["unknown"] * share
     return sites
+
+
+def _done_at(found: Sequence[Candidate], known: Candidate | None) -> tuple[str, bool] | None:
+    """Site of the leading candidate, and whether it has no name."""
+    first = found[0] if found else None
+    if first is not None and first.fit is not None and first.effect.name == UNKNOWN:
+        return site_of(first.effect, first.fit.parameters), True
+    return None if known is None else (known.effect.site, False)
 
 
 def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:

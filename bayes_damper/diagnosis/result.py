@@ -40,7 +40,7 @@ class Diagnosis:
     model and the winner leave unexplained; gap: on held-out trials, closed by `best`; closing: the same by each leading
     effect; choices: the verdict under other choices; site_map: where the nominal model's gap lies, without any library;
     remainder_map: the same for what the winner leaves; sites: probability of each site and "none"; pairs: fitted at
-    once, best first; drift: log evidence of a drift of the nominal laws (generic.py); weighed: all that the rule made
+    once, best first; drift: log evidence of causes without a name (generic.py); weighed: all that the rule made
     the probabilities from (verdict.py), so that they can be made again; kind: of rig, torsional or translational.
     """
 

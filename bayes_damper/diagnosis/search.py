@@ -32,7 +32,7 @@ from bayes_damper.calibration.nominal import broad_noise, out_of_phase
 from bayes_damper.calibration.problem import READINGS_AT_ONCE
 from bayes_damper.calibration.scatter import carried, own_values, placed
 from bayes_damper.campaign.records import DERIVATIVE
-from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.generic import GENERIC
 from bayes_damper.effects import REFERENCE, Scales, candidates, scaled
 from bayes_damper.effects.base import Effect, Variant
 from bayes_damper.priors.distributions import HalfNormal, widths_out
@@ -127,9 +127,10 @@ def offered(
     return [(effect, _with_smaller_starts(v)) for effect, v in pool] if experiment.start == "free" else pool
 
 
-def drifts_of(experiment: Experiment) -> list[tuple[Effect, Variant]]:
-    """The drift of the nominal laws, its rates at the rig's own pace."""
-    return [(DRIFT, scaled(variant, scales_of(experiment))) for variant in DRIFT.variants]
+def generics_of(experiment: Experiment) -> list[tuple[Effect, Variant]]:
+    """Formulas that stand for causes without a name, at the rig's own magnitudes."""
+    scales, coupled = scales_of(experiment), experiment.coupled
+    return [(effect, scaled(v, scales)) for effect in GENERIC for v in effect.variants if coupled or v.uncoupled]
 
 
 def _with_smaller_starts(variant: Variant) -> Variant:

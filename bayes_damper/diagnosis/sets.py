@@ -504,7 +504,7 @@ def probabilities(sets: Sequence[SetFit], offered: int) -> dict[frozenset[str], 
 def support(weights: Mapping[frozenset[str], float]) -> dict[str, float]:
     """Effect -> probability of the sets that hold it, over that of these and of what explains the gap without it.
 
-    That are sets of several others, and a drift of the nominal laws; other single effects are as good an answer alone.
+    That are sets of several others, and causes without a name; other single effects are as good an answer alone.
     weights : probability of each set (`probabilities`).
     """
     out = {}

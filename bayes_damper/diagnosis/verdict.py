@@ -167,11 +167,18 @@ def credible_set(probabilities: Mapping[str, float], share: float = 0.9) -> list
 
 
 def family_evidence(candidates: Sequence[Candidate]) -> dict[str, float]:
-    """Log evidence of each family over the nominal model: mean over its variants; -inf for what is not finite."""
-    rows: dict[str, list[float]] = {}
+    """Log evidence of each family over the nominal model: mean over its variants; -inf for what is not finite.
+
+    Effects that share a name (generic.py) add up, each as likely beforehand as any other effect.
+    """
+    rows: dict[tuple[str, str], list[float]] = {}
     for c in candidates:
-        rows.setdefault(c.effect.name, []).append(c.log_evidence if math.isfinite(c.log_evidence) else -math.inf)
-    return {name: _log_mean(values) for name, values in rows.items()}
+        value = c.log_evidence if math.isfinite(c.log_evidence) else -math.inf
+        rows.setdefault((c.effect.name, c.effect.site), []).append(value)
+    out: dict[str, float] = {}
+    for (name, _), values in rows.items():
+        out[name] = float(np.logaddexp(out.get(name, -math.inf), _log_mean(values)))
+    return out
 
 
 def _log_mean(values: Sequence[float]) -> float:
@@ -250,7 +257,7 @@ def weigh(
 
     evidence : family -> log Z relative to the nominal model; before, after : what `none` and the leading effect leave;
     excess : chi-square of the best answer's mean residuals at low frequency beyond 2 sd; pairs : effects (the stronger
-    first), log Z of both, and what they leave; generic : log Z of a drift of the nominal laws (generic.py), which
+    first), log Z of both, and what they leave; generic : log Z of causes without a name (generic.py), which
     counts for `unknown`; definitions : families whose formulas are; usual : log Z of the nominal model with what may be
     usual in a laboratory and no repeats could show, as likely a priori as without it; late : the same with releases
     that are all late by the same time (`LATE`). Both leave what the leading effect leaves.
@@ -323,7 +330,7 @@ def borne_by_sets(answers: Answers, support: Mapping[str, float]) -> Answers:
     """The answers, each effect only as far as the sets that explain the gap hold it; the rest is for `unknown`.
 
     support : effect -> probability of the sets that hold it, over that of these and of those that explain the gap by
-    several others, or by a drift of the nominal laws. What explains most alone and is not needed there imitates a cause
+    several others, or by a cause without a name. What explains most alone and is not needed there imitates a cause
     that has no formula of its own.
     """
     given = answers.probabilities

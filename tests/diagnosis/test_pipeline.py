@@ -33,7 +33,7 @@ from bayes_damper.commands.diagnose import _estimated, _maps, _shown_record
 from bayes_damper.commands.diagnose import diagnose as diagnose_folder
 from bayes_damper.diagnosis import diagnose, judgement, lone, pairs, pipeline
 from bayes_damper.diagnosis import sensitivity as sensitivities
-from bayes_damper.diagnosis.generic import DRIFT
+from bayes_damper.diagnosis.generic import CHANGE
 from bayes_damper.diagnosis.judgement import finished, sites_of
 from bayes_damper.diagnosis.lone import leaving, left_alone, left_of_squares
 from bayes_damper.diagnosis.notes import symmetries, time_or_amplitude
@@ -241,13 +241,13 @@ def test_a_constant_that_the_named_effect_does_not_free_is_told():
 @pytest.mark.slow
 def test_a_drift_of_the_nominal_laws_is_unknown_and_no_note_says_that_it_is_in_the_model():
     """The notes are those of the nominal model."""
-    (drift,) = DRIFT.variants
+    drift = CHANGE.variants[0]
     values = {"spring": 0.3, "bearings": -0.6, "coupling": 0.0, "friction": 0.0}
     found = measured(3, effect=drift, values=values, configurations=(False,), noise=0.5)
     found = replace(found, constants={**found.constants, "J1": (1.2 * RIG["J1"], 0.02 * RIG["J1"])})
     told = diagnose(found, effects=FEW)
     assert told.verdict == "unknown"
-    assert told.winner.effect is DRIFT
+    assert told.winner.effect is CHANGE
     assert told.named is None
     assert any(note.startswith("The nominal model fits J1") for note in told.notes)
 
@@ -382,7 +382,7 @@ def test_evidence_that_is_not_a_number_never_wins():
 
     class Row:
         def __init__(self, name: str, value: float) -> None:
-            self.effect = type("E", (), {"name": name})
+            self.effect = type("E", (), {"name": name, "site": "ground1"})
             self.log_evidence = value
 
     rows = [Row("a", math.nan), Row("b", -math.inf), Row("c", 5.0), Row("a", math.nan)]
@@ -831,7 +831,7 @@ def test_a_drift_of_the_coupling_does_nothing_to_the_primary_alone():
     times = np.arange(300) * 1e-3
     rig = RIG | TRUE | {"k1t": 6.2, "theta0": 0.1}
     for coupled in (False, True):
-        bare, drifting = Model(coupled), Model(coupled, effect=DRIFT.variants[0])
+        bare, drifting = Model(coupled), Model(coupled, effect=CHANGE.variants[0])
         rates = {"spring": 0.0, "bearings": 0.0, "coupling": 0.3, "friction": -0.3}
         change = drifting.simulate(rig, times, effect=rates).y - bare.simulate(rig, times).y
         assert (np.abs(change).max() > 0.1) == coupled
@@ -1149,12 +1149,15 @@ def test_a_rig_of_one_body_has_no_place_between_two():
     assert found == pytest.approx({"ground1": 0.175, "bearings": 0.375, "release": 0.175, "sensor": 0.175, "none": 0.1})
     # What the leading effect explains with a shape that is not its own happens at its site, as far as it explains it.
     odd = SimpleNamespace(**vars(answers), left=Left(0.0, 0.1, odd=40.0))
-    placed = _sites(odd, EFFECTS, place, place, sites_of(alone), imitator="sensor")
+    placed = _sites(odd, EFFECTS, place, place, sites_of(alone), done_at=("sensor", False))
     assert placed["sensor"] == pytest.approx(0.9 * 0.7 + 0.1 * 0.175)
     assert sum(placed.values()) == pytest.approx(1.0)
+    # A cause without a name acts where its formula does.
+    nameless = _sites(odd, EFFECTS, place, place, sites_of(alone), done_at=("sensor", True))
+    assert nameless["sensor"] >= placed["sensor"]
     # What it leaves lies at the spring: so does the cause.
     rest = SimpleNamespace(probabilities={**dict.fromkeys(SITES, 0.02), "ground1": 0.9})
-    assert _sites(odd, EFFECTS, place, rest, sites_of(alone), imitator="sensor")["sensor"] < 0.3
+    assert _sites(odd, EFFECTS, place, rest, sites_of(alone), done_at=("sensor", False))["sensor"] < 0.3
 
 
 def low_pass(natural, damping):

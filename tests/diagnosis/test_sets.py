@@ -25,7 +25,7 @@ from bayes_damper.diagnosis import sets as sets_module
 from bayes_damper.diagnosis.budget import _divided, answers_of, borne_out, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.response import motions
-from bayes_damper.diagnosis.search import Candidate, drifts_of, offered, search
+from bayes_damper.diagnosis.search import Candidate, generics_of, offered, search
 from bayes_damper.diagnosis.sensitivity import sensitivity_of_sets
 from bayes_damper.diagnosis.sets import (
     SetFit,
@@ -286,7 +286,7 @@ def test_a_set_leaves_what_it_does_with_the_sizes_of_scatter_that_it_makes_likel
     """
     experiment = vane_on_a_pendulum()
     nominal = calibrate_nominal(experiment)
-    found = search(nominal, drifts_of(experiment))
+    found = search(nominal, generics_of(experiment))
     usual = found[0].fit.problem.switches.scatter.sd("c1t")
     drift = next(s for s in grown(nominal, found, []) if s.members)
     assert drift.fit.problem.switches.scatter.sd("c1t") > 1.5 * usual

@@ -1,0 +1,85 @@
+"""Causes that no effect names: laws that change while a trial runs, and channels that are not straight."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from test_problem import make_experiment
+
+from bayes_damper.calibration import Experiment, TrialRecord
+from bayes_damper.diagnosis import diagnose
+from bayes_damper.diagnosis.generic import CHANGE, CURVED, UNKNOWN, curved, settling, site_of
+from bayes_damper.diagnosis.search import Candidate, generics_of
+from bayes_damper.diagnosis.verdict import family_evidence
+from bayes_damper.rig.equations import Rig
+
+
+def free_decays(torque, sense, begun, seconds, every, noise, stiffness, restoring="linear"):
+    """Records of one body of unit inertia by scipy's solver, from (angle, speed) each, read by a sensor."""
+    rng, trials = np.random.default_rng(11), []
+    times = np.arange(0.0, seconds, every)
+    for number, start in enumerate(begun, 1):
+        found = solve_ivp(
+            lambda t, x: [x[1], torque(t, *x)], (0.0, seconds), start, "DOP853", times, rtol=1e-9, atol=1e-11
+        )
+        y = sense(found.y[0]) + noise * rng.standard_normal(times.size)
+        trials.append(TrialRecord(str(number), "A", False, number, times, y[None], 0, abs(start[0]), 0.0))
+    return Experiment(
+        {"J1": (1.0, 0.0)}, ((stiffness, 0.02 * stiffness),), tuple(trials), quantity="displacement",
+        restoring=restoring, start="free",
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_damping_that_dies_away_is_no_square_drag():
+    """An oil that warms damps a single decay as a drag of the square of the speed nearly does: that had .94."""
+    record = free_decays(
+        lambda t, x, v: -40.0 * x - (0.23 + 0.85 * math.exp(-t / 4.0)) * v,
+        lambda x: x, [(0.06, 0.0)], 18.0, 1.0 / 150.0, 5e-5, 40.3,
+    )  # fmt: skip
+    found = diagnose(record)
+    assert found.verdict == UNKNOWN
+    assert found.to_json()["sites"]["bearings"] > 0.5
+    leader = found.candidates[0]
+    assert (leader.effect, leader.variant.name) == (CHANGE, "settling")
+    assert leader.fit.parameters["effect.time"][0] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_disc_that_is_not_centred_is_no_stop():
+    """A reading that is off by .035 rad once a turn, on a pendulum of 2.3 rad: a stop on one side had .80."""
+    begun, off = [(2.3, 0.0), (1.2, 0.3)], 0.9
+    records = free_decays(
+        lambda t, x, v: -48.0 * math.sin(x) - 0.06 * v - 0.08 * math.tanh(v / 0.01),
+        lambda x: x + 0.035 * (np.sin(x + off) - math.sin(off)), begun, 26.0, 0.02, 1e-3, 47.5, "pendulum",
+    )  # fmt: skip
+    found = diagnose(records)
+    assert found.verdict == UNKNOWN
+    assert found.to_json()["sites"]["sensor"] > 0.7
+    assert found.candidates[0].effect is CURVED
+
+
+def test_readings_and_torques_are_those_of_their_formulas():
+    assert curved(2.0, 0.1, 0.01, 0.001) == pytest.approx(2.0 + 0.1 * 4.0 + 0.01 * 8.0 + 0.001 * 16.0)
+    rig = Rig(**dict.fromkeys(Rig._fields, 0.0) | {"k1t": 3.0, "c1t": 0.2, "k2t": 1.0, "nu": 10.0, "slope": 1.0})
+    half = settling(math.log(2.0) * 4.0, 0.1, 0.05, 1.0, 0.5, 0.0, 0.0, (0.5, 1.0, 0.2, 0.0, 4.0), rig)
+    spring, bearing, joint = 0.5 * 3.0 * 0.1, 0.2 * 1.0, 0.2 * 1.0 * 0.05
+    assert half[0] == pytest.approx(-0.5 * (spring + bearing + joint))
+    assert half[1] == pytest.approx(0.5 * joint)
+
+
+def test_what_has_no_name_adds_up_and_a_second_channel_needs_a_second_body():
+    """Each kind is as likely beforehand as an effect; the formulas of a kind share that."""
+    every = [Candidate(effect, v, (), None, 5.0) for effect, v in generics_of(make_experiment(1, n=50))]
+    assert len(every) == 4
+    assert family_evidence(every) == {UNKNOWN: pytest.approx(5.0 + math.log(2.0))}
+    alone = generics_of(make_experiment(1, n=50, coupled=False))
+    assert [v.name for effect, v in alone if effect is CURVED] == ["channel1"]
+
+
+def test_the_place_of_a_change_is_that_of_the_law_that_changes_most_clearly():
+    still = {f"effect.{law}": (0.0, 0.3) for law in ("spring", "coupling", "friction")}
+    assert site_of(CHANGE, still | {"effect.bearings": (0.8, 0.1)}) == "bearings"
+    assert site_of(CHANGE, still | {"effect.bearings": (0.8, 1.0), "effect.friction": (-0.9, 0.1)}) == "interface"
+    assert site_of(CURVED, {}) == "sensor"
