@@ -247,14 +247,15 @@ def _baselines(fit: Calibration, problem: Problem) -> Scatter:
     By the likelihood of what the residuals of each record have of its slow cosines, all else that is unknown integrated
     out; the size over a grid of its logarithm. None where something drives the rig, which may be as slow as that.
     """
-    trials = [problem.experiment.trials[i] for i in problem.trials]
+    e = problem.experiment
+    trials = [e.trials[i] for i in problem.trials]
     if any(t.driven for t in trials):
         return NO_SCATTER
-    channels = range(1 + int(any(t.coupled for t in trials)))
-    sizes = [
-        Size(f"drift{c + 1}", sd := TYPICAL["drift"] * problem.noise.floor[c], 0.0, math.inf, sd, waves=BASELINE_WAVES)
-        for c in channels
-    ]
+    sizes = []
+    for c in range(1 + int(any(t.coupled for t in trials))):
+        name, usual = f"drift{c + 1}", TYPICAL["drift"] * problem.noise.floor[c]
+        sd = e.scatter.get(name, e.scatter.get("drift", usual))
+        sizes += [Size(name, sd, 0.0, math.inf, sd, waves=BASELINE_WAVES)] if sd > 0.0 else []
     wide = problem.changed(switches=replace(problem.switches, scatter=Scatter(tuple(sizes))))
     parts: dict[str, list[tuple[Array, Array]]] = {size.name: [] for size in sizes}
     linear = wide.linearise(fit.q, carried(fit, wide))

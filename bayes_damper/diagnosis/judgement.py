@@ -25,8 +25,9 @@ from bayes_damper.calibration import (
     learn_noise,
     under,
 )
+from bayes_damper.calibration.free_starts import single_releases
 from bayes_damper.calibration.latency import AS_LATE, with_latency
-from bayes_damper.calibration.scatter import slow_alike
+from bayes_damper.calibration.scatter import likeliest_sizes, slow_alike, with_scatter
 from bayes_damper.diagnosis.budget import UNLIKELY, Budget, answers_of, budget_of, foreign_alone, idle_alone
 from bayes_damper.diagnosis.generic import UNKNOWN
 from bayes_damper.diagnosis.lone import leaving
@@ -34,7 +35,7 @@ from bayes_damper.diagnosis.pairs import Pair, best_pairs, exactly, seconds_of
 from bayes_damper.diagnosis.remainder import Remainder, odd_shapes, readings_of_change, remainder_of
 from bayes_damper.diagnosis.search import Candidate, generics_of, search
 from bayes_damper.diagnosis.sensitivity import Choice, Quadratic, sensitivity, sensitivity_of_sets
-from bayes_damper.diagnosis.sets import SetFit, as_candidates, grown, probabilities, support
+from bayes_damper.diagnosis.sets import RESIZED, SetFit, as_candidates, grown, probabilities, support
 from bayes_damper.diagnosis.sites import SiteMap, site_map
 from bayes_damper.diagnosis.verdict import Answers, Left, Rule, borne_by_sets, family_evidence, left_of, weigh
 from bayes_damper.diagnosis.wiring import Wiring, miswired
@@ -45,6 +46,7 @@ PAIR_FROM = 6.0  # nats left by the leading effect from which pairs are fitted
 WORTH_RELEARNING = 10.0  # nats of the leading effect from which the noise is learnt again from what it leaves
 PRIORS_OF_UNKNOWN = (0.05, 0.15, 0.3, 0.5)  # prior probabilities of a foreign cause under which verdicts are given
 MOST_ROUNDS = 4  # of 25 steps by which a leader's descent goes on
+NO_WORSE = 1.0  # nats: evidences are integrated over sizes of scatter, and differ by their Laplace error alone
 SETTLED = 0.1  # nats by which such a round moves the evidence at the end: slowly, where the valley is flat
 OTHER_CHOICES = "asking whether other priors, or a case or trial less, would change the answer"
 JUDGED_PAIRS = 2  # pairs whose remainder is mapped
@@ -188,7 +190,7 @@ def judge_by_repeats(
 ) -> Judgement:  # fmt: skip
     """Answers where repeats distinguish the error of the model from noise: all under the leader's noise."""
     fit, found = _with_winners_noise(fit, found)
-    found = finished(found)
+    found = with_own_sizes(finished(found))
     seen = Seen.of(fit, found, next((c.fit for c in found if c.fit is not None), None), report)
     winner = seen.winner
     none_left = left_of(seen.before, seen.before_map.strength, seen.before, seen.before_map.strength)
@@ -403,6 +405,27 @@ def finished(found: Sequence[Candidate]) -> list[Candidate]:
                 gained += fit.log_evidence - before.log_evidence
         out.append(replace(c, fit=fit, log_evidence=c.log_evidence + gained) if gained > 0.0 else c)
     return sorted(out, key=lambda c: -c.log_evidence)
+
+
+def with_own_sizes(found: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, best first, the leader with the sizes of scatter that it makes likeliest where nothing repeats.
+
+    Those of the nominal model are of what that lacks, too: trials that all have another spring than the declared one
+    share what an effect explains, and leave it nothing of its size.
+    """
+    leader = next((c for c in found if c.fit is not None), None)
+    if leader is None or leader.fit is None:
+        return list(found)
+    fit, problem = leader.fit, leader.fit.problem
+    if not (problem.switches.scatter.from_trial_to_trial and single_releases(problem.experiment, problem.trials)):
+        return list(found)
+    for _ in range(RESIZED):
+        again = with_scatter(fit, likeliest_sizes(fit))
+        if not again.log_evidence > fit.log_evidence - NO_WORSE:
+            break
+        fit = again
+    moved = replace(leader, fit=fit, log_evidence=leader.log_evidence + fit.log_evidence - leader.fit.log_evidence)
+    return sorted((moved if c is leader else c for c in found), key=lambda c: -c.log_evidence)
 
 
 def sites_of(experiment: Experiment) -> tuple[str, ...]:

@@ -586,6 +586,12 @@ def sagging(drift: float, inputs: Inputs | None = None) -> Experiment:
     return Experiment({"J1": (1.0, 0.0)}, ((omega**2, 6.0),), (trial,), quantity="displacement", start="free")
 
 
+def test_a_sensor_that_is_declared_not_to_drift_has_no_baseline():
+    """What the rig does so slowly, such as a clamp that gives way, was taken for it all the same."""
+    fit = calibrate_nominal(replace(sagging(6e-3), scatter={"drift": 0.0}), nominal="linear")
+    assert fit.problem.switches.scatter.sizes == ()
+
+
 def test_a_baseline_slower_than_the_rig_can_move_is_followed():
     """The rig's numbers and the sensor's noise come out as if it were not there; a steady one is not followed."""
     fit = calibrate_nominal(sagging(6e-3), nominal="linear")
