@@ -142,12 +142,16 @@ def gap_beside_verdict(verdict: str, share: float, gap: GapEntry) -> str:
 
 
 def named_answers(probabilities: Mapping[str, float], pair: PairEntry | None) -> dict[str, float]:
-    """Answer -> probability, as it is shown: where two effects are the answer, the stronger one's is that of both.
+    """Answer -> probability, as it is shown: where two effects are the answer, theirs and that of the first one alone.
 
     pair : as in diagnosis.json: `effects`, the stronger first, and `probability`; None if no pair was considered.
     """
-    both = tuple(pair["effects"]) if pair and pair["probability"] >= 0.5 else ()
-    return {" + ".join(both) if both and name == both[0] else name: float(p) for name, p in probabilities.items()}
+    shown = {name: float(p) for name, p in probabilities.items()}
+    if pair and pair["probability"] >= 0.5:
+        first = pair["effects"][0]
+        both = min(pair["probability"], shown[first])
+        shown = {" + ".join(pair["effects"]): both} | shown | {first: shown[first] - both}
+    return shown
 
 
 def effects_to_fit(verdict: str, pair: PairEntry | None) -> list[str]:

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 _UNEVEN = 0.01  # of the usual step, by which another one departs from it
 _JITTERS = 0.25  # of it, up to which a step of two differs clearly from a step of one
 _RATE = 0.02  # by which the rate of the time column departs from the declared one
+_STILL_HELD = 0.3  # of the largest acceleration, below which the first one may be that of a rig that is still held
 _BESIDE = 1.5  # steps from the nominal release, within which a record begins with it
 _RANGE, _ABOVE = 0.98, 1.05  # of a sensor's range: at its end, and beyond it
 _NOISE = 3.0  # times the declared noise, or a part of it
@@ -303,6 +304,8 @@ def _look_at_release(head: Head, trial: Trial, omega: float, warnings: list[str]
         looks = "; the sign of the channel looks reversed, or " if reversed_sign else "; "
         if power == 0 and sign * first > begins * largest:  # it never swings farther
             looks = f": {_elsewhere(head, float(y[0]), level)}, or "
+        elif power == 2 and abs(first) < _STILL_HELD * largest:
+            looks = "; what holds the rig lets go slowly, or "
         warnings.append(
             f"{trial.file}: the first readings are not those of a release"
             f"{looks}the record begins after the motion began{_TURNED if reversed_sign else ''}"

@@ -457,6 +457,8 @@ def _named_addition(result: DiagnosisFile) -> str:
     verdict, rms = result["verdict"], result["gap"]["augmented_rms"]
     if verdict != "unknown":
         return "" if verdict == "none" else "the answer"
+    if not held_out_of(result["gap"]):
+        return ""
     best = next((r["name"] for r in result.get("effects", ()) if r.get("augmented_rms") == rms), None)
     closed = result["gap"].get("closed")
     share = (closed["median"] if closed else None) or 0.0

@@ -41,7 +41,7 @@ from bayes_damper.diagnosis.sets import (
     squares_of,
     weighed,
 )
-from bayes_damper.diagnosis.shares import DOUBT, IN_WORDS, NO_SHARE, Closed, Products, products_of, shortest_interval
+from bayes_damper.diagnosis.shares import DOUBT, NO_SHARE, UNTESTED, Closed, Products, products_of, shortest_interval
 from bayes_damper.diagnosis.verdict import FLOOR, RULE, Answers, Left, Rule, imitated
 from bayes_damper.rig.parameters import OF_EFFECT
 from bayes_damper.runs.contents.diagnosis import BudgetEntry, Estimate
@@ -91,7 +91,7 @@ class Budget:
     @property
     def method(self) -> str:
         """How the shares were measured, in words."""
-        how = IN_WORDS[self.unexplained.method]
+        how = self.unexplained.how
         divided = "; each effect closes what it does on average over all orders of adding the effects (Shapley)"
         return how if self.unexplained.median is None else how + divided
 
@@ -164,7 +164,8 @@ def _parts(
     heldout = nominal.problem.experiment.heldout
     names = [e.name for e, _ in best.members]
     found = _shares(nominal, best, sets, heldout, rng) if heldout else None
-    shares, beyond, unexplained, leading = found or (dict.fromkeys(names, NO_SHARE), {}, NO_SHARE, {})
+    nothing = NO_SHARE if heldout else UNTESTED
+    shares, beyond, unexplained, leading = found or (dict.fromkeys(names, nothing), {}, nothing, {})
     parts = []
     for member in best.members:
         name = member[0].name

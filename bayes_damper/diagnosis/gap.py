@@ -136,8 +136,9 @@ def measure_gap(
     if not heldout:
         rms = _rms(nominal.residuals(), nominal.problem, nominal.problem.trials)
         floor = _floor_rms(nominal.problem, nominal.problem.trials)
+        added = None if winner is None else _rms(winner.residuals(), nominal.problem, nominal.problem.trials)
         return Gap(
-            "cannot tell", 1.0, SIZE, floor, rms, None, None, math.inf,
+            "cannot tell", 1.0, SIZE, floor, rms, added, None, math.inf,
             "no trial is held out: every case has a single trial; repeat at least one",
         )  # fmt: skip
     before = predict(nominal, heldout)

@@ -60,14 +60,22 @@ class Closed:
     median: float | None
     hdi90: tuple[float, float] | None
     method: Method
+    tested: bool = True
+    """Whether any trial is held out."""
+
+    @property
+    def how(self) -> str:
+        """How it was measured, in words."""
+        return IN_WORDS[self.method] if self.tested else "no trial is held out, so no share of the gap is known"
 
     def to_json(self) -> Share:
         """Plain numbers, and the method in words."""
         interval = None if self.hdi90 is None else list(self.hdi90)
-        return {"median": self.median, "hdi90": interval, "method": self.method, "how": IN_WORDS[self.method]}
+        return {"median": self.median, "hdi90": interval, "method": self.method, "how": self.how}
 
 
 NO_SHARE = Closed(None, None, "cannot tell")
+UNTESTED = Closed(None, None, "cannot tell", tested=False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -808,10 +808,12 @@ def test_a_share_is_told_without_a_unit():
     assert open_ == "0.1463, 90 % interval 0.1125 to 0.18 (these data do not determine it)"
 
 
-def test_two_effects_that_are_the_answer_share_one_bar():
+def test_two_effects_that_are_the_answer_share_one_bar_beside_that_of_one_alone():
     probabilities = {"a": 0.7, "b": 0.1, "none": 0.2}
     likely = {"effects": ["a", "b"], "probability": 0.6}
-    assert named_answers(probabilities, likely) == {"a + b": 0.7, "b": 0.1, "none": 0.2}
+    shown = {"a + b": 0.6, "a": pytest.approx(0.1), "b": 0.1, "none": 0.2}
+    assert named_answers(probabilities, likely) == shown
+    assert next(iter(named_answers(probabilities, likely))) == "a + b"
     assert named_answers(probabilities, likely | {"probability": 0.3}) == probabilities
     assert named_answers(probabilities, None) == probabilities
 
