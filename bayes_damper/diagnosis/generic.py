@@ -159,7 +159,23 @@ def site_of(effect: Effect, parameters: Mapping[str, tuple[float, float]]) -> Si
 
     Of laws that change together that of the largest change over its standard deviation.
     """
-    if effect is not CHANGE:
-        return effect.site
+    return _SITES[_law_of(parameters)] if effect is CHANGE else effect.site
+
+
+def _law_of(parameters: Mapping[str, tuple[float, float]]) -> str:
     clear = {name: abs(value) / max(sd, 1e-300) for name, (value, sd) in parameters.items()}
-    return _SITES[max(_SITES, key=lambda law: clear[OF_EFFECT + law])]
+    return max(_SITES, key=lambda law: clear[OF_EFFECT + law])
+
+
+def in_words(effect: Effect, parameters: Mapping[str, tuple[float, float]], reach: float) -> str:
+    """What such a cause does, in a sentence; parameters : as in `site_of`; reach : largest reading of its channel."""
+    values = {name.removeprefix(OF_EFFECT): value for name, (value, _) in parameters.items()}
+    if effect is CURVED:
+        off = [abs(x * (values["square"] + x * (values["cube"] + x * values["fourth"]))) for x in (reach, -reach)]
+        does = f"a channel that is not straight, off by up to {100.0 * max(off):.2g} % at its largest readings"
+    else:
+        law = _law_of(parameters)
+        size = f"{100.0 * values[law]:+.3g} %"
+        how = f"is off by {size} at the release, which dies away in {values['time']:.3g} s" if "time" in values else ""
+        does = f"the torque of {dict(_LAWS)[law]} {how or f'changes by {size} a second'}"
+    return f"Of what no effect of the library is, this explains most: {does}."

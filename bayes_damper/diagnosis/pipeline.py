@@ -25,6 +25,7 @@ from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import closing, measure_gap
 from bayes_damper.diagnosis.generic import UNKNOWN, site_of
+from bayes_damper.diagnosis.generic import in_words as nameless
 from bayes_damper.diagnosis.judgement import judge_by_repeats, judge_without_repeats, sites_of
 from bayes_damper.diagnosis.later import continued
 from bayes_damper.diagnosis.law import learn
@@ -119,7 +120,8 @@ def _diagnosed(
         notes.insert(0, seen.wiring.sentence())
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
     before_map, after_map = seen.before_map, seen.after_map
-    if answers.verdict == "unknown":
+    if answers.verdict == UNKNOWN:
+        notes += _nameless_in_words(found, experiment)
         notes += imitated_in_words(known, answers)
         notes += differing_in_words(fit, max(evidence.values(), default=0.0))
         before_map, after_map, said = _located(before_map, after_map, report)
@@ -281,6 +283,16 @@ def _done_at(found: Sequence[Candidate], known: Candidate | None) -> tuple[str, 
     if first is not None and first.fit is not None and first.effect.name == UNKNOWN:
         return site_of(first.effect, first.fit.parameters), True
     return None if known is None else (known.effect.site, False)
+
+
+def _nameless_in_words(found: Sequence[Candidate], experiment: Experiment) -> list[str]:
+    """What the leading candidate does, where it has no name."""
+    first = found[0] if found else None
+    if first is None or first.fit is None or first.effect.name != UNKNOWN:
+        return []
+    channel = int(first.variant.name == "channel2")
+    reach = max(float(np.nanmax(np.abs(t.y[channel]))) for t in experiment.trials if channel < len(t.y))
+    return [nameless(first.effect, first.fit.parameters, reach)]
 
 
 def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:

@@ -9,7 +9,7 @@ from test_problem import make_experiment
 
 from bayes_damper.calibration import Experiment, TrialRecord
 from bayes_damper.diagnosis import diagnose
-from bayes_damper.diagnosis.generic import CHANGE, CURVED, UNKNOWN, curved, settling, site_of
+from bayes_damper.diagnosis.generic import CHANGE, CURVED, UNKNOWN, curved, in_words, settling, site_of
 from bayes_damper.diagnosis.search import Candidate, generics_of
 from bayes_damper.diagnosis.verdict import family_evidence
 from bayes_damper.rig.equations import Rig
@@ -44,6 +44,7 @@ def test_a_damping_that_dies_away_is_no_square_drag():
     leader = found.candidates[0]
     assert (leader.effect, leader.variant.name) == (CHANGE, "settling")
     assert leader.fit.parameters["effect.time"][0] == pytest.approx(4.0, rel=0.1)
+    assert any("the torque of the bearings is off by +" in n and "dies away in 4" in n for n in found.notes)
 
 
 @pytest.mark.slow
@@ -58,6 +59,7 @@ def test_a_disc_that_is_not_centred_is_no_stop():
     assert found.verdict == UNKNOWN
     assert found.to_json()["sites"]["sensor"] > 0.7
     assert found.candidates[0].effect is CURVED
+    assert any("a channel that is not straight" in note for note in found.notes)
 
 
 def test_readings_and_torques_are_those_of_their_formulas():
@@ -67,6 +69,16 @@ def test_readings_and_torques_are_those_of_their_formulas():
     spring, bearing, joint = 0.5 * 3.0 * 0.1, 0.2 * 1.0, 0.2 * 1.0 * 0.05
     assert half[0] == pytest.approx(-0.5 * (spring + bearing + joint))
     assert half[1] == pytest.approx(0.5 * joint)
+
+
+def test_what_a_cause_without_a_name_does_is_said_with_its_size():
+    curve = {"effect.square": (-0.01, 0.001), "effect.cube": (0.0, 0.001), "effect.fourth": (0.0, 0.001)}
+    assert "off by up to 2.5 % at its largest readings" in in_words(CURVED, curve, 2.5)
+    still = {f"effect.{law}": (0.0, 0.3) for law in ("spring", "coupling", "friction")}
+    drift = still | {"effect.bearings": (-0.2, 0.01)}
+    assert "the torque of the bearings changes by -20 % a second" in in_words(CHANGE, drift, 1.0)
+    fades = drift | {"effect.time": (4.0, 0.1)}
+    assert "off by -20 % at the release, which dies away in 4 s" in in_words(CHANGE, fades, 1.0)
 
 
 def test_what_has_no_name_adds_up_and_a_second_channel_needs_a_second_body():
