@@ -46,6 +46,8 @@ TAIL = (-0.5, 1.5)
 """Ends of `tail`, between which any is as likely before a reading is seen: of the curves in use for a smoothed sign the
 clipped straight line is met best by -0.4, the error function by -0.15, tanh by 0, x / sqrt(1 + x^2) by 1/2, the
 arctangent by 1 and x / (1 + |x|) by 1.4 (with nu and a viscous part free, at nu times the peak speed of 20)."""
+SKEW = 0.1
+"""Of a sampling interval: by how much channels of a logger are usually read apart. Multiplexed ones may be by more."""
 OF_ONE_TRIGGER = 0.25  # of the records, that begin late, beyond which it is not chance, and noise may hide it in others
 
 
@@ -577,6 +579,16 @@ def _releases(campaign: Campaign) -> list[Release]:
     return slow if 2 * late <= len(begins) else begins
 
 
+def _lags(trials: Sequence[TrialRecord]) -> tuple[float, ...]:
+    """Standard deviation of each channel's time against that of the inputs, s, where none is declared.
+
+    Loggers read their channels one after the other. Without inputs nothing shows when a channel is read, but for what
+    the other one shows (`sensor_delay`).
+    """
+    steps = [float(np.median(np.diff(t.times))) for t in trials if t.driven]
+    return (SKEW * min(steps),) * 2 if steps else ()
+
+
 def experiment_of(
     campaign: Campaign, priors: PriorSet | Mapping[str, Distribution | float] | None = None
 ) -> Experiment:
@@ -627,7 +639,7 @@ def experiment_of(
     experiment = Experiment(
         constants, stiffnesses, tuple(records), measurement.quantity, rig.normal_force, rig.restoring,
         measurement.start, given or (), offset_sd=offset, scale_sd=measurement.scale_std or (),
-        lag_sd=measurement.lag_std or (),
+        lag_sd=_lags(records) if measurement.lag_std is None else measurement.lag_std,
         coupling_law=rig.inertial_coupling_law, scatter=scatter,
     )  # fmt: skip
     experiment = unrounded(thinned(gridded(experiment), measurement.every))

@@ -62,15 +62,18 @@ TRIALS = (
 KEYS = {"torque1_n_m": "torque1", "torque2_n_m": "torque2", "ground_rad_s2": "ground"}
 
 
-def write(folder, *, extra="", toml=TOML, names=None, columns=None, noise=1.0, held=False):
-    """A campaign of driven trials; names, columns : of the first record, in place of its own."""
+def write(folder, *, extra="", toml=TOML, names=None, columns=None, noise=1.0, held=False, late=0.0):
+    """A campaign of driven trials; names, columns : of the first record, in place of its own.
+
+    late : s after their stamps, at which readings are taken.
+    """
     rng = np.random.default_rng(8)
     (folder / "trials").mkdir(parents=True)
     (folder / "campaign.toml").write_text(toml + extra, encoding="utf-8")
     rows = ["file,case,configuration,k1t_n_m_per_rad,theta0_deg,theta0_std_deg,trial,holdout"]
     for k, (name, column, values) in enumerate(TRIALS):
         inputs = Inputs.measured(TIMES, **{KEYS[column]: values}, held=held)
-        y = Model().simulate(RIG, TIMES, inputs=inputs).y[0]
+        y = Model().simulate(RIG, TIMES + late, inputs=inputs).y[0]
         own = ["time_s", "alpha1_rad_s2", "alpha2_rad_s2", column]
         table = [TIMES, *(y + noise * rng.standard_normal(y.shape)), values]
         if k == 0 and names is not None:
@@ -103,6 +106,17 @@ def test_readings_are_absolute_unless_the_campaign_says_otherwise(tmp_path):
     trial = load_campaign(write(tmp_path / "a")).trials[3]
     experiment = experiment_of(load_campaign(tmp_path / "a"))
     np.testing.assert_array_equal(experiment.trials[3].inputs.shown, trial.ground_acceleration)
+
+
+def test_readings_may_be_a_little_apart_in_time_from_inputs_unless_that_is_declared(tmp_path):
+    """A logger reads its channels in turn: here the motion 0.1 ms, a twentieth of an interval, after its stamp."""
+    folder = write(tmp_path / "a", late=1e-4)
+    fit = calibrate_nominal(experiment_of(load_campaign(folder)))
+    for channel in (1, 2):
+        value, sd = fit.parameters[f"lag{channel}"]
+        assert abs(value + 1e-4) < 4.0 * sd < 8e-5
+    exact = experiment_of(load_campaign(write(tmp_path / "b", extra="lag_std = 0.0\n")))
+    assert not any(exact.lag_sd)
 
 
 @pytest.mark.parametrize(
