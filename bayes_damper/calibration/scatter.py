@@ -629,7 +629,8 @@ def scatter_in_words(fit: Calibration) -> list[str]:
             reach = max(float(np.nanmax(np.abs(t.y[c]))) for t in trials if c < len(t.y))
             out.append(
                 f"The zero of channel {c + 1} drifts slowly, by about {100.0 * size.sd / reach:.2g} % of its largest "
-                "reading. The fit allows for it; no cause is named, since nothing on the rig moves so slowly."
+                "reading. The fit allows for it; no cause is named, since a rig seldom moves so slowly. If something "
+                "may, a clamp that gives way say, declare `drift = 0` under [scatter]."
             )
     for size in shown:
         if size.name.startswith("hum"):

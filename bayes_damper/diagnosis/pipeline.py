@@ -121,8 +121,7 @@ def _diagnosed(
     notes += notes_on(experiment, fit, named, answers, seen.before_map)
     before_map, after_map = seen.before_map, seen.after_map
     if answers.verdict == UNKNOWN:
-        notes += _nameless_in_words(found, experiment)
-        notes += imitated_in_words(known, answers)
+        notes += [*_nameless_in_words(found, experiment), *imitated_in_words(known, answers)]
         notes += differing_in_words(fit, max(evidence.values(), default=0.0))
         before_map, after_map, said = _located(before_map, after_map, report)
         notes += said
