@@ -586,9 +586,10 @@ def grown(
         packed = forked_map(lambda job: _packed(_grown(nominal, *job)), jobs, workers, each)
         for members, (kept, noise) in zip(wanted, packed, strict=True):
             fit = restored(SetProblem(nominal.problem, members, exact=True).with_noise(noise), kept)
-            smaller = [s.fit.log_evidence for s in sets.values() if s.names < {e.name for e, _ in members}]
+            smaller = [s for s in sets.values() if s.names < {e.name for e, _ in members}]
             defined = sum(not e.exact for e, _ in members) < 2  # one formula mends another
-            if alone or not mends(fit.log_evidence - max(smaller), explained, defined):
+            gain = fit.log_evidence - max(s.fit.log_evidence for s in smaller)
+            if not (mended_alone(nominal, sets.values(), smaller, fit) if alone else mends(gain, explained, defined)):
                 add(members, fit)
         ranked = _with_own_sizes(sets, settled)
     # A smaller set may have ended short of where the best one leads: each effect is left out of that once. That is how
@@ -626,6 +627,20 @@ def mends(gain: float, explained: float, exact: bool, home: float = 1.0, rule: R
     its own site.
     """
     return not exact and not gain > mended_share(home, rule) * max(explained, 0.0)
+
+
+def mended_alone(
+    nominal: Calibration, sets: Collection[SetFit], smaller: Sequence[SetFit], fit: Calibration, rule: Rule = RULE
+) -> bool:
+    """The same where no trial has repeats, of the squares that sets leave instead of their evidences.
+
+    Under what each set leaves itself an effect that takes up what another one's formula is off by gains as much as one
+    that acts. smaller : the sets that hold some of the effects.
+    """
+    whole = squares_of(nominal, nominal)
+    alone = min((squares_of(nominal, s.fit) for s in sets if len(s.members) == 1), default=whole)
+    left = min(squares_of(nominal, s.fit) for s in smaller)
+    return left - squares_of(nominal, fit) <= rule.mismatch * (whole - alone)
 
 
 def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:

@@ -37,6 +37,7 @@ from bayes_damper.diagnosis.sets import (
     columns_at,
     grown,
     log_prior,
+    mended_alone,
     mends,
     probabilities,
     proposals,
@@ -342,6 +343,21 @@ def test_a_second_effect_that_mends_the_first_ones_formula_is_none():
     assert not mends(100.0, 4000.0, exact=True)
     assert not mends(100.0, 4000.0, exact=False, home=0.0)
     assert mends(math.nan, 4000.0, exact=False)
+
+
+@pytest.mark.parametrize(
+    ("left", "mended"),
+    [
+        ({"": 100.0, "a": 2.2, "b": 99.0, "ab": 0.3}, True),  # "b" takes up what the formula of "a" is off by
+        ({"": 100.0, "a": 30.0, "b": 99.0, "ab": 5.0}, False),
+        ({"": 100.0, "a": 99.0, "b": 99.0, "ab": 24.0}, False),  # they hide each other
+    ],
+)
+def test_without_repeats_a_second_effect_has_to_explain_more_than_a_formula_is_off_by(monkeypatch, left, mended):
+    """A clean sensor shows to the last digit that friction is no tanh: scale and lag of the sensor had .99 for that."""
+    monkeypatch.setattr(sets_module, "squares_of", lambda _, fit: left[fit])
+    known = [SimpleNamespace(members=tuple(names), names=frozenset(names), fit=names) for names in ("", "a", "b")]
+    assert mended_alone("", known, known, "ab") is mended
 
 
 def test_shares_of_effects_that_hide_each_other_sum_to_one():
