@@ -178,4 +178,4 @@ def in_words(effect: Effect, parameters: Mapping[str, tuple[float, float]], reac
         size = f"{100.0 * values[law]:+.3g} %"
         how = f"is off by {size} at the release, which dies away in {values['time']:.3g} s" if "time" in values else ""
         does = f"the torque of {dict(_LAWS)[law]} {how or f'changes by {size} a second'}"
-    return f"Of what no effect of the library is, this explains most: {does}."
+    return f"What explains the gap best is no effect of the library: {does}."
