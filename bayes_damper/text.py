@@ -16,6 +16,8 @@ SDS_WIDE = 3.29
 """Standard deviations between the ends of a 90 % interval of a normal distribution."""
 UNDETERMINED = "these data do not determine it"
 """What is said of a value whose interval is decided by its prior."""
+NOTHING_HELD_OUT = "no trial is held out, so no share of the gap is known"
+"""What is said of shares of the gap where nothing is held out."""
 SMALLEST_P = 1e-12
 """Below this a p value says nothing more: no model of noise holds so far out in its tails."""
 

@@ -255,7 +255,8 @@ def _baselines(fit: Calibration, problem: Problem) -> Scatter:
     for c in range(1 + int(any(t.coupled for t in trials))):
         name, usual = f"drift{c + 1}", TYPICAL["drift"] * problem.noise.floor[c]
         sd = e.scatter.get(name, e.scatter.get("drift", usual))
-        sizes += [Size(name, sd, 0.0, math.inf, sd, waves=BASELINE_WAVES)] if sd > 0.0 else []
+        if sd > 0.0:
+            sizes.append(Size(name, sd, 0.0, math.inf, sd, waves=BASELINE_WAVES))
     wide = problem.changed(switches=replace(problem.switches, scatter=Scatter(tuple(sizes))))
     parts: dict[str, list[tuple[Array, Array]]] = {size.name: [] for size in sizes}
     linear = wide.linearise(fit.q, carried(fit, wide))

@@ -61,12 +61,12 @@ def notes_on(
     for name, z in still.items():
         value = float(from_standard(priors[name], z))
         notes.append(
-            f"With {answers.verdict} in the model, {name} still differs from its declared value by {z:+.1f} standard "
+            f"With {answers.verdict} in the model, {name} still differs from {_origin(name)} by {z:+.1f} standard "
             f"deviations ({value:.4g}): a second cause, or a typo. Measure it again."
         )
     for name, z in fit.pulled.items() if named is None else ():
         notes.append(
-            f"The nominal model fits {name} {z:+.1f} standard deviations from its declared value: an effect, or a typo."
+            f"The nominal model fits {name} {z:+.1f} standard deviations from {_origin(name)}: an effect, or a typo."
         )
     if place.torque_site is not None and not place.torque:
         notes.append(
@@ -85,6 +85,11 @@ def notes_on(
     if answers.probabilities["none"] > 0.5 and hidden:
         notes += hidden
     return notes
+
+
+def _origin(name: str) -> str:
+    """Where the prior of a constant comes from; inputs and readings are usually apart by some part of an interval."""
+    return "its declared or usual value" if name.startswith("lag") else "its declared value"
 
 
 def imitated_in_words(known: Candidate | None, answers: Answers) -> list[str]:

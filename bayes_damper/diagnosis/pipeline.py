@@ -25,7 +25,7 @@ from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
 from bayes_damper.diagnosis.gap import closing, measure_gap
 from bayes_damper.diagnosis.generic import UNKNOWN, site_of
-from bayes_damper.diagnosis.generic import in_words as nameless
+from bayes_damper.diagnosis.generic import in_words as nameless_in_words
 from bayes_damper.diagnosis.judgement import judge_by_repeats, judge_without_repeats, sites_of
 from bayes_damper.diagnosis.later import continued
 from bayes_damper.diagnosis.law import learn
@@ -264,34 +264,38 @@ def _sites(
     if miswired:
         weights = {s: float(s == "sensor") + 0.01 for s in known}
     total = sum(weights.values())
-    imitated = 0.0
+    imitated, place = 0.0, ""
     if done_at is not None:
         place, nameless = done_at
         rest = {site: after.probabilities.get(site, 0.0) for site in (*known, place)}
         at_home = 1.0 - (max(rest.values()) - rest[place])
         imitated = (1.0 - answers.left.share) * (1.0 if nameless else -math.expm1(-answers.left.odd)) * at_home
     for site in known:
-        share = imitated * (done_at is not None and site == done_at[0]) + (1.0 - imitated) * weights[site] / total
+        share = imitated * (site == place) + (1.0 - imitated) * weights[site] / total
         sites[site] += answers.probabilities["unknown"] * share
     return sites
 
 
 def _done_at(found: Sequence[Candidate], known: Candidate | None) -> tuple[str, bool] | None:
     """Site of the leading candidate, and whether it has no name."""
-    first = found[0] if found else None
-    if first is not None and first.fit is not None and first.effect.name == UNKNOWN:
-        return site_of(first.effect, first.fit.parameters), True
+    for effect, _, fit in _nameless(found):
+        return site_of(effect, fit.parameters), True
     return None if known is None else (known.effect.site, False)
 
 
 def _nameless_in_words(found: Sequence[Candidate], experiment: Experiment) -> list[str]:
     """What the leading candidate does, where it has no name."""
-    first = found[0] if found else None
-    if first is None or first.fit is None or first.effect.name != UNKNOWN:
-        return []
-    channel = int(first.variant.name == "channel2")
-    reach = max(float(np.nanmax(np.abs(t.y[channel]))) for t in experiment.trials if channel < len(t.y))
-    return [nameless(first.effect, first.fit.parameters, reach)]
+    out = []
+    for effect, variant, fit in _nameless(found):
+        channel = int(variant.name == "channel2")
+        reach = max(float(np.nanmax(np.abs(t.y[channel]))) for t in experiment.trials if channel < len(t.y))
+        out.append(nameless_in_words(effect, fit.parameters, reach))
+    return out
+
+
+def _nameless(found: Sequence[Candidate]) -> list[tuple[Effect, Variant, Calibration]]:
+    """The leading candidate, where it has no name and is fitted."""
+    return [(c.effect, c.variant, c.fit) for c in found[:1] if c.fit is not None and c.effect.name == UNKNOWN]
 
 
 def _indistinct(evidence: Mapping[str, float], effects: Mapping[str, Effect]) -> list[tuple[str, ...]]:

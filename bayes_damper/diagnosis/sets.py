@@ -27,6 +27,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import chain
 from typing import Any, Self, cast
 
@@ -556,6 +557,7 @@ def grown(
         if c.fit is not None and comparable and math.isfinite(c.log_evidence):
             add(((c.effect, c.variant),), sharpened(c.fit) if alone else c.fit)
     explained = max((c.log_evidence for c in found if c.fit is not None), default=0.0)
+    missed = cache(partial(squares_of, nominal))
     for pair in pairs:
         if not mends(pair.gain, explained, pair.exact, home):
             add(*_of_pair(pair))
@@ -589,7 +591,7 @@ def grown(
             smaller = [s for s in sets.values() if s.names < {e.name for e, _ in members}]
             defined = sum(not e.exact for e, _ in members) < 2  # one formula mends another
             gain = fit.log_evidence - max(s.fit.log_evidence for s in smaller)
-            if not (mended_alone(nominal, sets.values(), smaller, fit) if alone else mends(gain, explained, defined)):
+            if not (mended_alone(missed, sets.values(), smaller, fit) if alone else mends(gain, explained, defined)):
                 add(members, fit)
         ranked = _with_own_sizes(sets, settled)
     # A smaller set may have ended short of where the best one leads: each effect is left out of that once. That is how
@@ -630,17 +632,16 @@ def mends(gain: float, explained: float, exact: bool, home: float = 1.0, rule: R
 
 
 def mended_alone(
-    nominal: Calibration, sets: Collection[SetFit], smaller: Sequence[SetFit], fit: Calibration, rule: Rule = RULE
+    missed: Callable[[Calibration], float], sets: Collection[SetFit], smaller: Sequence[SetFit], fit: Calibration
 ) -> bool:
-    """The same where no trial has repeats, of the squares that sets leave instead of their evidences.
+    """The same where no trial has repeats, of the squares that fits miss instead of their evidences.
 
     Under what each set leaves itself an effect that takes up what another one's formula is off by gains as much as one
-    that acts. smaller : the sets that hold some of the effects.
+    that acts. sets : the nominal model and single effects among them; smaller : those that hold some of the effects.
     """
-    whole = squares_of(nominal, nominal)
-    alone = min((squares_of(nominal, s.fit) for s in sets if len(s.members) == 1), default=whole)
-    left = min(squares_of(nominal, s.fit) for s in smaller)
-    return left - squares_of(nominal, fit) <= rule.mismatch * (whole - alone)
+    whole = min(missed(s.fit) for s in sets if not s.members)
+    alone = min((missed(s.fit) for s in sets if len(s.members) == 1), default=whole)
+    return mends(min(missed(s.fit) for s in smaller) - missed(fit), whole - alone, exact=False)
 
 
 def _can_grow(s: SetFit, pool: Sequence[Member], least: int) -> bool:

@@ -38,6 +38,7 @@ from bayes_damper.calibration.groups import trust_of
 from bayes_damper.calibration.own_values import INPUT
 from bayes_damper.diagnosis.remainder import LOW_BAND, own_frequency
 from bayes_damper.runs.contents.diagnosis import Share
+from bayes_damper.text import NOTHING_HELD_OUT
 
 Array = NDArray[np.float64]
 Method = Literal["repeats", "neighbours", "cannot tell"]
@@ -66,7 +67,7 @@ class Closed:
     @property
     def how(self) -> str:
         """How it was measured, in words."""
-        return IN_WORDS[self.method] if self.tested else "no trial is held out, so no share of the gap is known"
+        return IN_WORDS[self.method] if self.tested else NOTHING_HELD_OUT
 
     def to_json(self) -> Share:
         """Plain numbers, and the method in words."""

@@ -42,6 +42,7 @@ from bayes_damper.sampling.prior_sensitivity import decided_by
 from bayes_damper.text import (
     COORDINATES,
     NOTHING,
+    NOTHING_HELD_OUT,
     UNDETERMINED,
     begins_with_budget,
     budget_sentence,
@@ -637,7 +638,7 @@ def _budget_tables(budget: BudgetEntry | None, held_out: bool) -> list[Table]:
     places = sorted((left.get("sites") or {}).items(), key=lambda item: -item[1])[:2]
     where = ", ".join(f"{site} {percent(p)}" for site, p in places)
     rows.append(Row(("unexplained", where, NOTHING, share(left["share"]), NOTHING)))
-    how = str(budget["method"]) if held_out else "no trial is held out, so no share of the gap is known"
+    how = str(budget["method"]) if held_out else NOTHING_HELD_OUT
     note = (
         f"{how[0].upper()}{how[1:]}. Present: probability over all sets of effects fitted. Shares with 90 % intervals."
     )
