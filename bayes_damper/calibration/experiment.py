@@ -60,7 +60,8 @@ class TrialRecord:
     weight (channels, n): what multiplies the residuals of readings that do not count fully; errors (k, channels, n):
     what independent standard deviations of the inputs' noise do to the readings (input_noise.py);
     spread (channels, n): standard deviation of each reading's noise over that of its channel (noise_spread.py);
-    doubt: s by which the release may be off, where that is more than `STEPS_OF_DOUBT` of the clock.
+    doubt: s by which the release may be off, where that is more than `STEPS_OF_DOUBT` of the clock;
+    order: place in the campaign's table, -0.5 of the first trial to 0.5 of the last.
     """
 
     label: str
@@ -78,6 +79,7 @@ class TrialRecord:
     errors: Array | None = None
     doubt: float = 0.0
     spread: Array | None = None
+    order: float = 0.0
 
     def at(self, which: NDArray[np.bool_] | slice) -> TrialRecord:
         """The trial with these of its readings only; inputs stay as they were measured."""
@@ -126,8 +128,9 @@ class Experiment:
     "campaign" (one value for all trials, the default), "case" or "trial"; case_priors: parameter -> case -> prior where
     cases differ; ties: parameter -> the one whose value it takes; rounding: step of each channel whose readings err by
     their rounding alone, 0 for the others; scatter: typical sizes by which things differ from trial to trial, in place
-    of the default (scatter.py); fits_all: models are fitted to the held-out trials too, and held-out figures come from
-    fits without them (`heldout.unseeing`).
+    of the default (scatter.py); trends: parameter that changes with the order of the trials -> prior sd of the natural
+    logarithm of its last value over its first (trends.py); fits_all: models are fitted to the held-out trials too, and
+    held-out figures come from fits without them (`heldout.unseeing`).
     """
 
     constants: Mapping[str, tuple[float, float]]
@@ -148,6 +151,7 @@ class Experiment:
     coupling_law: Literal["constant", "cosine"] = "constant"
     rounding: tuple[float, ...] = ()
     scatter: Mapping[str, float] = field(default_factory=dict)
+    trends: Mapping[str, float] = field(default_factory=dict)
     fits_all: bool = False
 
     @cached_property
@@ -609,7 +613,8 @@ def experiment_of(
     apart = scatter.pop("theta0", 0.0)
     reaction = reaction_unit(campaign) if any(t.prescribed for t in campaign.trials) else 1.0
     clocks = evened([np.array(t.times, float) for t in campaign.trials])
-    for t, begins, times in zip(campaign.trials, _releases(campaign), clocks, strict=True):
+    places = np.linspace(-0.5, 0.5, len(campaign.trials))
+    for t, begins, times, order in zip(campaign.trials, _releases(campaign), clocks, places, strict=True):
         angle = Constant(0.0) if t.theta0 is None else t.theta0
         channels = np.atleast_2d(np.array(t.channels, float))
         inputs = replace(t, times=times).inputs(measurement)
@@ -630,6 +635,7 @@ def experiment_of(
                 inputs=inputs,
                 heldout=id(t) in heldout,
                 doubt=begins.doubt,
+                order=float(order),
             )
         )
     late = [t.doubt for t in records if t.doubt]

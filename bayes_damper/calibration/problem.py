@@ -19,7 +19,7 @@ from bayes_damper.calibration.groups import Group, Grouping, Switches
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings
-from bayes_damper.calibration.unknowns import NOMINAL, Coordinate, acting_alone, coordinates_of, middle
+from bayes_damper.calibration.unknowns import NOMINAL, TREND, Coordinate, acting_alone, coordinates_of, middle
 from bayes_damper.effects.base import Variant
 from bayes_damper.priors.distributions import (
     Distribution,
@@ -169,16 +169,22 @@ class Problem:
         if not e.magnet:
             rig["mu"] = 0.0
         effect: dict[str, Any] = {}
+        trends: dict[str, Array] = {}
         for c, x in zip(self.coordinates, _values(self.coordinates, q), strict=True):
             if c.role == "effect":
                 effect[c.name.removeprefix(OF_EFFECT)] = x
             elif c.role in ("sensor", "lag"):
                 continue
+            elif c.role == "trend":
+                trends[c.name.removeprefix(TREND)] = x
             elif c.role == "stiffness" or c.case is not None:
                 hit = self.touched(c, group)[which]
                 rig[c.parameter] = np.where(hit, x, rig[c.parameter])
             else:
                 rig[c.name] = x
+        order = np.array([e.trials[i].order for i in group.trials])[which]
+        for name, x in trends.items():
+            rig[name] = rig.get(name, 1.0) * np.exp(order * x)
         for i, (name, mean, sd) in enumerate(group.nuisances):
             x = mean[which] + sd[which] * eta[:, i]
             if name.startswith("ln_"):
@@ -276,7 +282,8 @@ class Problem:
             return self.effect is not None and (group.coupled or self.effect.uncoupled)
         if c.role in ("sensor", "lag"):
             return group.coupled or c.index == 0
-        free = group.coupled or c.role == "stiffness" or c.parameter in acting_alone(self.experiment)
+        name = c.parameter.removeprefix(TREND)
+        free = group.coupled or c.role == "stiffness" or name == "k1t" or name in acting_alone(self.experiment)
         return free and bool(self.touched(c, group).any())
 
 

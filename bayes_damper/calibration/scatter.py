@@ -59,6 +59,7 @@ from bayes_damper.calibration.own_values import (
     nuisance,
 )
 from bayes_damper.calibration.problem import Problem
+from bayes_damper.calibration.unknowns import TREND
 from bayes_damper.calibration.unlearnt import LARGEST, Unlearnt, log_prior, prior_slope
 from bayes_damper.runs.contents.diagnosis import ScatterEntry
 
@@ -533,16 +534,19 @@ def _in_proportion(name: str) -> bool:
 def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     """Correlation of the trials' own values with their order among the repeats, and the p-value of none.
 
-    It is 1 where too few trials are repeated to show any.
+    It is 1 where too few trials are repeated to show any. A trend that the model has (trends.py) is a part of them.
     """
     column = size.columns[0][0]
     values, order, sets = [], [], 0
     trials = fit.problem.experiment.trials
+    trend = change_over_campaign(fit, size.name)
     for group in fit.problem.groups:
         names = [name for name, _, _ in group.nuisances]
         if column not in names:
             continue
-        own = np.array([fit.eta[i][names.index(column)] for i in group.trials])
+        m = names.index(column)
+        sd = group.nuisances[m][2]
+        own = np.array([trend * trials[i].order + sd[k] * fit.eta[i][m] for k, i in enumerate(group.trials)])
         for members in repeats([trials[i] for i in group.trials]):
             number = np.array([float(trials[group.trials[k]].number) for k in members])
             values += list(own[members] - own[members].mean())
@@ -557,6 +561,11 @@ def trend_with_order(fit: Calibration, size: Size) -> tuple[float, float]:
     if freedom < LEAST_FREEDOM:
         return r, 1.0
     return r, float(2.0 * stdtr(freedom, -abs(r) * math.sqrt(freedom / max(1.0 - r * r, 1e-12))))
+
+
+def change_over_campaign(fit: Calibration, name: str) -> float:
+    """Logarithm of the last trial's value of a parameter over the first one's, 0 where the model has no trend of it."""
+    return fit.parameters[TREND + name][0] if TREND + name in fit.problem.names else 0.0
 
 
 def odd_values(fit: Calibration) -> list[tuple[int, str, float]]:
@@ -612,7 +621,18 @@ def sizes_shown(fit: Calibration) -> list[Size]:
         if fit not in _AGAIN:
             _AGAIN[fit] = {s.name: s for s in learn_scatter(fit).sizes}
         sizes = tuple(_AGAIN[fit][s.name] for s in sizes if s.name in _AGAIN[fit])
-    return [s for s in sizes if s.gained > SHOWN_FROM]
+    shown = [_about_trend(fit, s) for s in sizes if s.gained > SHOWN_FROM or TREND + s.name in fit.problem.names]
+    return [s for s in shown if s.sd > 0.0]
+
+
+def _about_trend(fit: Calibration, size: Size) -> Size:
+    """The size with what a trend of the model adds to it over all trials."""
+    if TREND + size.name not in fit.problem.names:
+        return size
+    spread = float(np.std([fit.problem.experiment.trials[i].order for i in fit.problem.trials]))
+    low, high = sorted(map(abs, fit.interval(TREND + size.name)))
+    sd = math.hypot(size.sd, spread * change_over_campaign(fit, size.name))
+    return replace(size, sd=sd, low=math.hypot(size.low, spread * low), high=math.hypot(size.high, spread * high))
 
 
 _AGAIN: WeakKeyDictionary[Calibration, dict[str, Size]] = WeakKeyDictionary()
@@ -655,7 +675,13 @@ def scatter_in_words(fit: Calibration) -> list[str]:
         )
     for size in shown:
         r, p = (0.0, 1.0) if size.name.startswith("hum") else trend_with_order(fit, size)
-        if p < SURE_OF_TREND / len(shown):
+        if change := 100.0 * math.expm1(change_over_campaign(fit, size.name)):
+            out.append(
+                f"{size.name} {'grows' if change > 0.0 else 'falls'} by {abs(change):.2g} % from the first trial of "
+                "trials.csv to the last: repeats show it, and cases follow. Something warms up or wears; the fit "
+                "allows for it, and no cause is named for it."
+            )
+        elif p < SURE_OF_TREND / len(shown):
             out.append(
                 f"{size.name} {'grows' if r > 0.0 else 'falls'} from repeat to repeat "
                 f"(correlation {r:+.2f}): something warms up or wears."

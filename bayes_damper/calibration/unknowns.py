@@ -15,6 +15,7 @@ from bayes_damper.rig.parameters import OF_EFFECT
 
 Priors = Callable[[str, str], Distribution | float]
 """Of a parameter, by name and case: a distribution, or a number where it is fixed."""
+TREND = "trend_"
 NOMINAL = ("k2t", "c2t", "c1t", "c3t", "mu", "drag", "nu", "tail")
 
 
@@ -34,12 +35,13 @@ class Coordinate:
     """One unknown of the whole campaign, or of one `case` if that is given.
 
     role: "nominal", "release" (angle or instant), "constant", "stiffness" (k1t number `index`), "sensor" (scale of
-    channel `index`), "lag" (of its readings, s) or "effect". shape : of an effect, whether it is a parameter of shape,
+    channel `index`), "lag" (of its readings, s), "trend" (how a parameter changes from the first trial to the last,
+    TREND and its name) or "effect". shape : of an effect, whether it is a parameter of shape,
     which has no value at which the effect vanishes.
     """
 
     name: str
-    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "lag", "effect"]
+    role: Literal["nominal", "release", "constant", "stiffness", "sensor", "lag", "trend", "effect"]
     prior: Distribution
     index: int = 0
     case: str | None = None
@@ -87,6 +89,9 @@ def coordinates_of(
     for c, sd in enumerate(e.lag_sd[: 1 + int(coupled)]):
         if sd > 0.0:
             out.append(Coordinate(f"lag{c + 1}", "lag", Normal(0.0, sd), c))
+    for name, sd in e.trends.items():
+        if coupled or name in alone or name == "k1t":
+            out.append(Coordinate(TREND + name, "trend", Normal(0.0, sd)))
     if effect is not None:
         out += [Coordinate(OF_EFFECT + p.name, "effect", p.prior, shape=p.null is None) for p in effect.parameters]
     return tuple(out)

@@ -20,6 +20,7 @@ from bayes_damper.calibration import (
 )
 from bayes_damper.calibration.cases import SHOWS_FROM, with_damping_of_each_case
 from bayes_damper.calibration.latency import AS_LATE, latency_in_words, with_latency, with_own_instants
+from bayes_damper.calibration.trends import with_trends
 from bayes_damper.campaign import Campaign
 from bayes_damper.diagnosis.by_case import differing_in_words
 from bayes_damper.diagnosis.formula import widened
@@ -101,6 +102,7 @@ def _diagnosed(
     if short := shortage(sum(t.y.size for t in experiment.trials)):
         report(short)
     fit, notes = _cleaned_fit(experiment, nominal, report)
+    fit = with_trends(fit, report)
     experiment = fit.problem.experiment
     pool = offered(experiment, nominal, effects)
     fit, found, said = _searched(fit, pool, workers, report)

@@ -508,7 +508,9 @@ def test_small_times_of_release_are_kept_where_they_are_neither_none_nor_all_the
 def test_each_size_comes_with_its_unit(monkeypatch):
     monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.0, 1.0))
     sizes = tuple(Size(name, 1.0, 0.5, 2.0, 1.0, gained=4.0) for name in ("k1t", "gain2", "offset1", RELEASE))
-    fit = SimpleNamespace(problem=SimpleNamespace(effect=None, switches=SimpleNamespace(scatter=Scatter(sizes))))
+    fit = SimpleNamespace(
+        problem=SimpleNamespace(names=(), effect=None, switches=SimpleNamespace(scatter=Scatter(sizes)))
+    )
     units = {name: entry["unit"] for name, entry in scatters.scatter_shown(fit, "m").items()}
     assert units == {"k1t": "relative", "gain2": "relative", "offset1": "m", RELEASE: "s"}
     assert {tuple(x["hdi90"]) for x in scatters.scatter_shown(fit, "m").values()} == {(0.5, 2.0)}
@@ -518,7 +520,7 @@ def test_beside_a_cause_without_a_name_no_scatter_is_sure(monkeypatch):
     """A hand that touches the rig in some trials had been a spring that scatters by 0.1 to 0.3 %."""
     monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.0, 1.0))
     scatter = Scatter((Size("k1t", 0.002, 0.001, 0.003, 0.002, gained=4.0),))
-    fit = SimpleNamespace(problem=SimpleNamespace(effect=None, switches=SimpleNamespace(scatter=scatter)))
+    fit = SimpleNamespace(problem=SimpleNamespace(names=(), effect=None, switches=SimpleNamespace(scatter=scatter)))
     assert scatters.scatter_shown(fit, "m", missing=True)["k1t"]["hdi90"] == [0.0, 0.003]
 
 
@@ -526,12 +528,14 @@ def in_order(sets, falls=0.01):
     """A fit in whose sets of so many repeats the spring falls from each to the next."""
     numbers = [number for count in sets for number in range(1, count + 1)]
     cases = [str(k) for k, count in enumerate(sets) for _ in range(count)]
-    trials = tuple(SimpleNamespace(number=n, conditions=case) for n, case in zip(numbers, cases, strict=True))
+    trials = tuple(
+        SimpleNamespace(number=n, conditions=case, order=0.0) for n, case in zip(numbers, cases, strict=True)
+    )
     own = 1e-4 * np.random.default_rng(2).standard_normal(len(trials))
     eta = {i: np.array([own[i] - falls * numbers[i]]) for i in range(len(trials))}
-    group = SimpleNamespace(nuisances=(("ln_k1t", None, None),), trials=tuple(range(len(trials))))
+    group = SimpleNamespace(nuisances=(("ln_k1t", None, np.ones(len(trials))),), trials=tuple(range(len(trials))))
     experiment = SimpleNamespace(trials=trials)
-    return SimpleNamespace(problem=SimpleNamespace(groups=[group], experiment=experiment), eta=eta)
+    return SimpleNamespace(problem=SimpleNamespace(names=(), groups=[group], experiment=experiment), eta=eta)
 
 
 def test_a_trend_needs_more_than_two_repeats_of_two_cases():
@@ -550,7 +554,12 @@ def test_a_trend_is_said_where_chance_explains_none_of_them(monkeypatch, sizes, 
     named = tuple(Size(name, 0.01, 0.005, 0.02, 0.002, gained=9.0) for name in ("k1t", "c1t", "drag", "mu")[:sizes])
     experiment = SimpleNamespace(trials=(), start="rest")
     problem = SimpleNamespace(
-        effect=None, experiment=experiment, groups=[], trials=(), switches=SimpleNamespace(scatter=Scatter(named))
+        names=(),
+        effect=None,
+        experiment=experiment,
+        groups=[],
+        trials=(),
+        switches=SimpleNamespace(scatter=Scatter(named)),
     )
     monkeypatch.setattr(scatters, "trend_with_order", lambda *_: (0.9, 0.005))
     found = scatters.scatter_in_words(SimpleNamespace(problem=problem))
