@@ -55,6 +55,7 @@ KEPT = 10.0  # nats that the evidence may lose with the times of release
 MOST_TURNS = 4  # of learning scatter and noise from the fit, and the fit under them, at most
 LONG_PERIODS, FIRST_PERIODS, GROWING_STEPS = 12.0, 3.0, 20  # of records fitted window by window
 FEW_TRIALS = 8  # trained on, up to which the cost may have more valleys than the prior medians lead to
+LEAVES = 2.0  # times the noise's chi-square, beyond which a model's errors may move the instants of few repeats
 NEARLY_DECLARED = 0.1  # of its range, between readings, that an instant of release lies from the declared one
 OUT_OF_PHASE = 0.2  # rad of mean phase from which effects are fitted window by window too
 TURNS = 2  # of learning the noise where that of the inputs is followed
@@ -341,11 +342,15 @@ def _as_declared(fit: Calibration) -> Calibration:
     """The fit with every release at the nominal instant, if that is as likely; the fit itself if not.
 
     What repeats differ by may be counted too high where noise is coloured or much scatters. Instants that lie where
-    they are declared then have a prior of their own each that an effect could spare.
+    they are declared then have a prior of their own each that an effect could spare. A model that leaves more than
+    noise may bring few repeats there by chance.
     """
     problem = fit.problem
     sets = repeats([problem.experiment.trials[i] for i in problem.trials])
-    if not problem.switches.delay or sum(len(members) - 1 for members in sets) < FEW_REPEATS:
+    spare = sum(len(members) - 1 for members in sets)
+    if not problem.switches.delay or not spare or len(problem.trials) < FEW_REPEATS:
+        return fit
+    if spare < FEW_REPEATS and fit.chi2 > LEAVES * problem.n_data:
         return fit
     off = []
     for group in problem.groups:
