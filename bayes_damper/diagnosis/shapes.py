@@ -34,7 +34,10 @@ PLACES = 12  # on the way of an angle from one end to the other
 CONTACTS = 8  # after the release, each longer than the one before, the last one a quarter of the rig's period long
 HUM = (50.0, 60.0, 100.0, 120.0)  # Hz
 TOUCHES = (0.25, 2.0)  # periods after the release, between which what held the rig may touch it again
-TOUCHES_A_PERIOD = 12
+BACK = (0.5, 1.25)
+"""Periods after the release between which a rig swings back to where it was held: what acts before the end of that, at
+the same instants of all trials, is what held it, and may be short."""
+TOUCHES_A_PERIOD, TAPS_A_PERIOD = 12, 24
 RESONANCES = tuple(1.5 * 1.35**k for k in range(9))  # times the rig's own frequency
 DAMPING = 0.08  # ratio of those resonators: wide enough to meet their neighbours
 SHARP = 0.02  # damping ratio of the one at the residuals' own peak
@@ -57,6 +60,8 @@ class Scale:
     readings: tuple[float, ...]
     peak: float
     """Frequency of the residuals' strongest line above the rig's own, rad/s; 0 if unknown."""
+    back: float = 0.0
+    """Time after a release until which the rig is `BACK`, s; 0 where nothing is released."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,22 +86,22 @@ class Shape:
         return not any(x.any() for x in (self.q1, self.q2, self.start, self.reading) if x is not None)
 
 
-def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0) -> Scale:
-    """The campaign's largest values; peak as in `Scale`."""
+def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0, released: bool = False) -> Scale:
+    """The campaign's largest values; peak as in `Scale`; released : whether the trials begin with a release."""
     coupled = [m for m in motions if m.group.coupled]
     period = max(float(np.median(np.diff(m.grid))) for m in motions)
     omega = float(np.median([np.median(m.w1.std(axis=1) / (m.th1.std(axis=1) + 1e-300)) for m in motions]))
-    channels = max(m.y.shape[1] for m in motions)
+    omega, channels = max(omega, 1e-3 / period), max(m.y.shape[1] for m in motions)
     return Scale(
         th1=scale_of([m.th1 for m in motions]), w1=scale_of([m.w1 for m in motions]),
         th2=scale_of([m.th2 for m in coupled]), w2=scale_of([m.w2 for m in coupled]),
         phi=scale_of([m.phi for m in coupled]), slip=scale_of([m.slip for m in coupled]),
         torque=scale_of([m.k1t[:, None] * m.th1 for m in motions]), theta0=scale_of([m.theta0 for m in motions]),
-        duration=max(float(m.grid[-1]) for m in motions), omega=max(omega, 1e-3 / period),
+        duration=max(float(m.grid[-1]) for m in motions), omega=omega,
         readings=tuple(
             scale_of([m.y[:, c] for m in motions if m.y.shape[1] > c]) for c in range(channels)
         ),
-        peak=peak,
+        peak=peak, back=BACK[1] * 2.0 * np.pi / omega if released else 0.0,
     )  # fmt: skip
 
 
@@ -177,10 +182,10 @@ def _flexible(motion: Motion, drive: Array, scale: Scale) -> Iterator[Array]:
     yield from _resonances(drive * (motion.since > 0.0), h, scale)
 
 
-def _bumps(motion: Motion, scale: Scale) -> Iterator[Array]:
+def _bumps(motion: Motion, scale: Scale, begin: float = 0.0) -> Iterator[Array]:
     centres = (np.arange(BUMPS) + 0.5) * scale.duration / BUMPS
     width = scale.duration / BUMPS
-    for centre in centres:
+    for centre in centres[centres >= begin]:
         x = (motion.grid - centre) / width
         yield np.broadcast_to(np.where(np.abs(x) < 1.0, 0.5 + 0.5 * np.cos(np.pi * x), 0.0), motion.th1.shape)
 
@@ -204,10 +209,10 @@ def _contacts(m: Motion, s: Scale) -> Iterator[Array]:
         yield np.asarray(np.sin(0.5 * np.pi * np.minimum(rising, falling)) ** 2)
 
 
-def _touches(m: Motion, s: Scale) -> Iterator[Array]:
-    """Half waves, each as long as a sixth of the rig's period, in the first periods after the release."""
-    spacing = 2.0 * np.pi / s.omega / TOUCHES_A_PERIOD
-    first, last = (round(end * TOUCHES_A_PERIOD) for end in TOUCHES)
+def _touches(m: Motion, s: Scale, a_period: int, within: tuple[float, float]) -> Iterator[Array]:
+    """Half waves, so many a period after the release, each twice as long as they are apart; within : periods."""
+    spacing = 2.0 * np.pi / s.omega / a_period
+    first, last = (round(end * a_period) for end in within)
     for k in range(first, last + 1):
         yield 0.5 + 0.5 * np.cos(np.pi * np.clip(m.since / spacing - k, -1.0, 1.0))
 
@@ -242,8 +247,9 @@ def _ground1(m: Motion, s: Scale) -> Iterator[Shape]:
     for f in _flexible(m, m.a1 / (s.w1 * s.omega), s):
         yield Shape("", "flexible", f)
     for f in _bumps(m, s):
-        yield Shape("", "time", f)
         yield Shape("", "drift", f * u)
+    for f in _bumps(m, s, s.back):
+        yield Shape("", "time", f)
 
 
 def _own_spring(u: Array) -> Iterator[Array]:
@@ -386,9 +392,9 @@ def _release(m: Motion, s: Scale) -> Iterator[Shape]:
         yield Shape("", "contact", touch * reach / s.torque)
         yield Shape("", "contact", touch)
         yield Shape("", "contact2", None, touch if coupled else 0.0 * touch)
-    early = m.since < TOUCHES[1] * 2.0 * np.pi / s.omega
-    for touch in _touches(m, s):
-        yield Shape("", "touch", np.where(early, touch * reach / s.torque, 0.0))
+    for group, a_period, within in (("touch", TOUCHES_A_PERIOD, TOUCHES), ("tap", TAPS_A_PERIOD, BACK)):
+        for touch in _touches(m, s, a_period, within):
+            yield Shape("", group, touch * reach / s.torque)
 
 
 def _sensor(m: Motion, s: Scale) -> Iterator[Shape]:

@@ -200,7 +200,9 @@ def site_map(
     """
     whole, fit = fit, in_slices(fit)
     moved = motions(fit)
-    scale = scale_of_motions(moved, peak_of(fit))
+    experiment = fit.problem.experiment
+    released = experiment.start == "rest" and any(t.theta0 for t in experiment.trials)
+    scale = scale_of_motions(moved, peak_of(fit), released)
     fit, moved = in_turns(fit, moved)
     pieces, vocabulary = pieces_of(fit, moved, scale)
     judged, found, priors = _per_part(pieces, vocabulary)

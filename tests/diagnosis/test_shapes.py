@@ -15,7 +15,7 @@ from bayes_damper.diagnosis.sites import _columns
 def made():
     """{coupled: (motion, its shapes)} of a campaign with both configurations."""
     moved = motions(calibrate(Problem(measured(repeats=2, duration=0.15)), anneal=False))
-    scale = scale_of_motions(moved, peak=100.0)
+    scale = scale_of_motions(moved, peak=100.0, released=True)
     return {m.group.coupled: (m, list(shapes_of(m, scale, coupled_campaign=True))) for m in moved}
 
 
@@ -45,7 +45,11 @@ def test_shapes_are_finite_and_as_large_as_the_motion(made, coupled):
 
 def test_no_shape_is_nothing_everywhere(made):
     for alone, both in zip(made[False][1], made[True][1], strict=True):
-        if alone.group in ("place", "touch"):  # one of them for each place or instant, where a motion need not come
+        if alone.group in (
+            "place",
+            "touch",
+            "tap",
+        ):  # one of them for each place or instant, where a motion need not come
             continue
         given = [a for s in (alone, both) for a in (s.q1, s.q2, s.start, s.reading) if a is not None]
         assert any(np.any(a) for a in given), f"{alone.site}/{alone.group}: a column is 0 in every trial"
@@ -77,12 +81,14 @@ def test_a_shape_is_its_formula(made, place):
 def test_touches_share_out_the_first_periods_after_the_first_quarter(made):
     motion, shapes = made[True]
     period = 2.0 * np.pi * np.median(motion.th1.std(axis=1) / motion.w1.std(axis=1))
-    touches = [s.q1 for s in shapes if (s.site, s.group) == ("release", "touch")]
+    touches, taps = ([s.q1 for s in shapes if (s.site, s.group) == ("release", of)] for of in ("touch", "tap"))
     assert len(touches) == 22  # a twelfth of a period apart, from a quarter of one to two
-    total = np.sum(touches, axis=0) / (motion.k1t * motion.theta0)[:, None]
-    inside, before = motion.since[0] > 0.3 * period, motion.since[0] < 0.15 * period
-    np.testing.assert_allclose(total[:, inside], np.full_like(total[:, inside], total[0, -1]), rtol=1e-9)
-    assert not total[:, before].any()
+    assert len(taps) == 19  # half of that, from half a period to 1.25
+    for some, first, last in ((touches, 0.25, 2.0), (taps, 0.5, 1.25)):
+        total = np.sum(some, axis=0) / (motion.k1t * motion.theta0)[:, None]
+        inside = (motion.since[0] > (first + 0.05) * period) & (motion.since[0] < (last - 0.05) * period)
+        np.testing.assert_allclose(total[:, inside], np.full_like(total[:, inside], total[0, inside][-1]), rtol=1e-9)
+        assert not total[:, motion.since[0] < (first - 0.1) * period].any()
 
 
 def test_shapes_with_a_memory_follow_their_equations(made):

@@ -1,13 +1,14 @@
 """The site map: responses against full simulations, the right site for known causes, honest evidence and torque."""
 
 import csv
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
-from small_rig import RIG, knock, measured, variant
+from small_rig import RIG, STIFFNESSES, knock, measured, variant
 from test_scatter import laboratory
 
 from bayes_damper.calibration import Switches, calibrate, calibrate_nominal
@@ -106,6 +107,16 @@ def test_a_cause_is_found_at_its_site(site, cause):
     assert found.probabilities["none"] < 0.01
     assert site in found.credible_set()
     assert abs(sum(found.probabilities.values()) - 1.0) < 1e-12
+
+
+def test_what_touches_a_rig_that_comes_back_is_what_released_it():
+    """For a fifteenth of a period, one period after the release in all trials: the floor cannot know when that is."""
+    period = 2.0 * math.pi * math.sqrt(RIG["J1"] / STIFFNESSES[0])
+    touch = knock(1.02 * period, period / 15.0, -0.15)
+    twice = (("I", 0, 0.1), ("II", 0, 0.08))
+    found = site_map(calibrate_nominal(measured(5, torque=touch, cases=twice, duration=0.8)), torque=False)
+    assert found.best == "release"
+    assert found.probabilities["ground1"] < 0.3
 
 
 @lane
