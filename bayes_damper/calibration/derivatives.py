@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bayes_damper.calibration.groups import Group
+from bayes_damper.calibration.groups import Bundle, Group
 from bayes_damper.calibration.normal_equations import Block
 from bayes_damper.calibration.own_values import RELEASE, channel_of, of_readings
 from bayes_damper.calibration.unknowns import Coordinate
@@ -29,6 +29,9 @@ class Differentiable(Protocol):
     coordinates: tuple[Coordinate, ...]
     groups: list[Group]
 
+    @property
+    def bundles(self) -> list[Bundle]: ...
+
     def finer(self) -> Differentiable: ...
 
     def simulate(self, group: Group, which: Indices, q: Array, eta: Array) -> Array: ...
@@ -43,13 +46,15 @@ class Differentiable(Protocol):
 def blocks_of(
     problem: Differentiable, q: Array, eta: Mapping[int, Array], annealed: bool, central: bool, steps: Array | None
 ) -> tuple[Block, ...]:
-    """Blocks of `linearise`, the trials of a large group in turns."""
-    blocks = []
-    for group in problem.groups:
-        turns = [some for _, some in group.turns(READINGS_AT_ONCE)]
+    """Blocks of `linearise`, a bundle of groups at a time, the trials of a large one in turns."""
+    blocks: dict[int, Block] = {}
+    for bundle in problem.bundles:
+        turns = [some for _, some in bundle.whole.turns(READINGS_AT_ONCE)]
         made = (_block(problem, some, q, eta, annealed, central, steps) for some in turns)
-        blocks.append(next(made) if len(turns) == 1 else _joined(group, made))
-    return tuple(blocks)
+        b = next(made) if len(turns) == 1 else _joined(bundle.whole, made)
+        for at, group in bundle.parts:
+            blocks[id(group)] = Block(group, b.r[at], b.J[at], b.T[at], b.eta[at])
+    return tuple(blocks[id(group)] for group in problem.groups)
 
 
 def _joined(group: Group, parts: Iterable[Block]) -> Block:
@@ -123,7 +128,7 @@ def _block(
     copies = len(rows_q)
     y = differences.simulate(
         group, np.tile(np.arange(n), copies), np.concatenate(rows_q), np.concatenate(rows_eta)
-    ).reshape(copies, n, -1, group.times.size)
+    ).reshape(copies, n, -1, group.y.shape[-1])
     base = y[0]
     shown = problem.simulate(group, np.arange(n), base_q, base_eta) if central else base
     forward = y[1:lanes]
@@ -187,7 +192,7 @@ def _own_readings(group: Group, nuisance: int, shown: Array, eta: Array) -> Arra
     for k, (other, mean, sd) in enumerate(group.nuisances):
         x = mean + sd * eta[:, k]
         if k != nuisance and of_readings(other) and channel_of(other) in (channel, -1):
-            out[:, channel] -= np.outer(x, group.shape(other)[channel])
+            out[:, channel] -= x[:, None] * group.shape(other)[..., channel, :]
         elif k == nuisance:
             scale = 1.0 + x
     out[:, channel] /= scale[:, None]

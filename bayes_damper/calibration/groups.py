@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,10 @@ _WIDE: Bounds = (-_FARTHEST, _FARTHEST)
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Training trials that can share one simulation: same configuration, times and inputs."""
+    """Training trials that can share one simulation: same configuration, times and inputs.
+
+    times (n,); (trials, n) in a `Bundle`, whose trials have clocks of their own.
+    """
 
     coupled: bool
     trials: tuple[int, ...]
@@ -67,12 +70,12 @@ class Group:
         return np.minimum(np.where(self.events, FIRST_STAGE_EVENT_WEIGHT, 1.0), self.weight)
 
     def shape(self, name: str) -> Array:
-        """What a unit of a nuisance that adds to the readings adds to them, (channels, n)."""
+        """What a unit of a nuisance that adds to the readings adds to them, (channels, n); in a bundle each trial's."""
         if name.startswith(INPUT):
             assert self.errors is not None
             return np.asarray(self.errors[int(name.removeprefix(INPUT)) - 1])
-        out = np.zeros(self.y.shape[1:])
-        out[channel_of(name)] = wave(name, self.times)
+        out = np.zeros(self.y.shape[-self.times.ndim - 1 :])
+        out[..., channel_of(name), :] = wave(name, self.times)
         return out
 
     def between_readings(self, eta: Array) -> tuple[Array, Array]:
@@ -100,8 +103,9 @@ class Group:
 
     def only(self, at: slice) -> Group:
         """The group of some of its trials."""
+        times = self.times[at] if self.times.ndim == 2 else self.times
         return replace(
-            self, trials=self.trials[at], y=self.y[at], weight=self.weight[at], trust=self.trust[at],
+            self, trials=self.trials[at], times=times, y=self.y[at], weight=self.weight[at], trust=self.trust[at],
             events=self.events[at], nuisances=tuple((name, mean[at], sd[at]) for name, mean, sd in self.nuisances),
             lower=self.lower[at], upper=self.upper[at], kept={},
         )  # fmt: skip
@@ -115,6 +119,50 @@ class Group:
         for first in range(0, len(self.trials), most):
             at = slice(first, first + most)
             yield at, self.only(at)
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Groups that share a simulation although their trials have clocks of their own.
+
+    whole : all their trials as one group; parts : each of the groups, and its place among the trials.
+    """
+
+    whole: Group
+    parts: tuple[tuple[slice, Group], ...]
+
+
+def bundled(groups: Sequence[Group]) -> list[Bundle]:
+    """Bundles of groups with equally many readings and nothing that acts on them while they are recorded."""
+    alike: dict[Hashable, list[Group]] = {}
+    for k, group in enumerate(groups):
+        own = k if group.errors is not None or (group.inputs is not None and group.inputs.active) else -1
+        names = tuple(name for name, _, _ in group.nuisances)
+        alike.setdefault((own, group.coupled, group.y.shape[1:], names), []).append(group)
+    return [_bundle(members) for members in alike.values()]
+
+
+def _bundle(groups: Sequence[Group]) -> Bundle:
+    """The bundle of groups that are alike; of one alone it is that one."""
+    ends = np.cumsum([0, *(len(group.trials) for group in groups)])
+    parts = tuple((slice(a, b), group) for a, b, group in zip(ends, ends[1:], groups, strict=False))
+    if len(groups) == 1:
+        return Bundle(groups[0], parts)
+
+    def joined(of: Callable[[Group], NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([of(group) for group in groups])
+
+    whole = replace(
+        groups[0], trials=tuple(i for group in groups for i in group.trials),
+        times=joined(lambda g: np.tile(g.times, (len(g.trials), 1))), y=joined(lambda g: g.y),
+        weight=joined(lambda g: g.weight), trust=joined(lambda g: g.trust), events=joined(lambda g: g.events),
+        nuisances=tuple(
+            (own[0][0], np.concatenate([mean for _, mean, _ in own]), np.concatenate([sd for _, _, sd in own]))
+            for own in zip(*(group.nuisances for group in groups), strict=True)
+        ),
+        lower=joined(lambda g: g.lower), upper=joined(lambda g: g.upper), kept={},
+    )  # fmt: skip
+    return Bundle(whole, parts)
 
 
 @dataclass(frozen=True)

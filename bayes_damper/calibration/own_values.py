@@ -108,11 +108,16 @@ def half_periods(name: str) -> int:
 
 
 def wave(name: str, times: Array) -> Array:
-    """Shape (n,) in time, of mean square 1: an offset, a half-period cosine of a drift, a cosine or sine of a hum."""
+    """Shape in time, of mean square 1: an offset, a half-period cosine of a drift, a cosine or sine of a hum.
+
+    times : (n,), or (trials, n) of clocks of their own.
+    """
     if name.startswith("offset"):
         return np.ones_like(times)
     if name.startswith("hum"):
         turns = float(name.partition("_")[2][:-1]) * times
         return np.asarray(math.sqrt(2.0) * (np.cos if name.endswith("c") else np.sin)(2.0 * math.pi * turns))
-    span = max(float(times[-1] - times[0]), 1e-300)
-    return np.asarray(math.sqrt(2.0) * np.cos(half_periods(name) * math.pi * (times - times[0]) / span))
+    since = times - times[..., :1]
+    return np.asarray(
+        math.sqrt(2.0) * np.cos(half_periods(name) * math.pi * since / np.maximum(since[..., -1:], 1e-300))
+    )

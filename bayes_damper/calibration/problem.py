@@ -15,7 +15,7 @@ from bayes_damper.calibration.experiment import (
     Experiment,
     longest_step,
 )
-from bayes_damper.calibration.groups import Group, Grouping, Switches
+from bayes_damper.calibration.groups import Bundle, Group, Grouping, Switches, bundled
 from bayes_damper.calibration.noise import Noise, rough_noise
 from bayes_damper.calibration.normal_equations import Block, Linear, Remade
 from bayes_damper.calibration.own_values import RELEASE, channel_of, middle_of, of_readings
@@ -67,6 +67,7 @@ class Problem:
         }  # of each case
         self._take(effect)
         self._groups: dict[tuple[int, ...], list[Group]] = {}
+        self._bundles: dict[tuple[int, ...], list[Bundle]] = {}
         self.groups = self.grouped(self.trials)
 
     def changed(self, **changes: Any) -> Self:
@@ -135,6 +136,14 @@ class Problem:
         self._groups[tuple(trials)] = groups
         return groups
 
+    @property
+    def bundles(self) -> list[Bundle]:
+        """The groups, those together whose trials differ by their clocks alone."""
+        same = tuple(map(id, self.groups))
+        if same not in self._bundles:
+            self._bundles[same] = bundled(self.groups)
+        return self._bundles[same]
+
     # Simulation
 
     def prior_mean(self) -> Array:
@@ -195,7 +204,7 @@ class Problem:
             if name in NOMINAL:
                 rig[name] = rig[other]
         if e.start == "free":
-            rig["delay"] = float(group.times[0])
+            rig["delay"] = group.times[which, 0] if group.times.ndim == 2 else float(group.times[0])
         if RELEASE in rig and e.ends_bounded and any(name == "delay" for name, _, _ in group.nuisances):
             rig["delay"] = rig["delay"] - rig[RELEASE]
         acting = self.models[group.coupled].acting
@@ -207,7 +216,8 @@ class Problem:
         """Readings (n, channels, n_times) of vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         rig, effect = self._inputs(group, which, q, eta)
         motion = partial(
-            self.models[group.coupled].simulate, times=group.times, effect=effect if self.effect is not None else None,
+            self.models[group.coupled].simulate, times=group.times[which] if group.times.ndim == 2 else group.times,
+            effect=effect if self.effect is not None else None,
             inputs=group.inputs, quantity=self.experiment.quantity, tolerance=self.tolerance,
         )  # fmt: skip
         y = motion(rig).y
@@ -240,7 +250,7 @@ class Problem:
         """What each trial has of the cost of k candidates: trial -> (k,)."""
         k = q.shape[0]
         out: dict[int, Array] = {}
-        for group in self.groups:
+        for group in (bundle.whole for bundle in self.bundles):
             values = np.stack([eta[i] for i in group.trials], axis=1)
             most = max(READINGS_AT_ONCE // group.y.size, 1)
             turns = [slice(first, first + most) for first in range(0, max(k, 1), most)]
@@ -328,6 +338,11 @@ def _as_sensors_show(
         if waves:
             key = (f"waves of {channel}: " + " ".join(waves), False)
             if key not in group.kept:
-                group.kept[key] = np.stack([group.shape(name)[channel] for name in waves])
-            y[:, channel] += np.stack(sizes, axis=1) @ group.kept[key]
+                group.kept[key] = np.stack([group.shape(name)[..., channel, :] for name in waves])
+            shapes = group.kept[key]
+            if shapes.ndim == 2:
+                y[:, channel] += np.stack(sizes, axis=1) @ shapes
+            else:
+                for x, own in zip(sizes, shapes, strict=True):
+                    y[:, channel] += x[:, None] * own[which]
     return y

@@ -18,6 +18,7 @@ from bayes_damper.calibration import (
     Block,
     Calibration,
     Experiment,
+    Group,
     Linear,
     Normals,
     Problem,
@@ -143,6 +144,18 @@ def _with_smaller_starts(variant: Variant) -> Variant:
 # Screening ----------------------------------------------------------------------------------------------------------
 
 
+def _left(problem: Problem, group: Group, eta: Array, q: Array) -> Array:
+    """Whitened residuals (k, trials, data) of k vectors q (k, size) with nuisances eta (trials, m)."""
+    k, turns = q.shape[0], []
+    for at, some in group.turns(READINGS_AT_ONCE // max(q.shape[0], 1)):
+        own = eta[at]
+        which = np.tile(np.arange(len(own)), k)
+        y = problem.simulate(some, which, np.repeat(q, len(own), axis=0), np.tile(own, (k, 1)))
+        y -= some.y[which]
+        turns.append(problem.whitened(y, some.weight[which]).reshape(k, len(own), -1))
+    return turns[0] if len(turns) == 1 else np.concatenate(turns, axis=1)
+
+
 class Screen:
     """The linearised problem at a fit, ready to judge further columns."""
 
@@ -163,18 +176,19 @@ class Screen:
 
     def responses(self, problem: Problem, q: Array) -> list[Array]:
         """Whitened changes of the records, per block (k, trials, data), that k vectors q (k, size) make."""
-        return [self.response(block, problem, q) for block in self.linear.blocks]
+        blocks = {id(block.group): block for block in self.linear.blocks}
+        if any(id(group) not in blocks for group in problem.groups):
+            return [self.response(block, problem, q) for block in self.linear.blocks]
+        found: dict[int, Array] = {}
+        for bundle in problem.bundles:
+            own = [blocks[id(group)] for _, group in bundle.parts]
+            left = _left(problem, bundle.whole, np.concatenate([block.eta for block in own]), q)
+            found |= {id(b.group): left[:, at] - b.r for (at, _), b in zip(bundle.parts, own, strict=True)}
+        return [found[key] for key in blocks]
 
     def response(self, block: Block, problem: Problem, q: Array) -> Array:
         """Those of one block, (k, trials, data)."""
-        k, n = q.shape[0], len(block.group.trials)
-        out = np.empty((k, n, block.r.shape[1]))
-        for at, group in block.group.turns(READINGS_AT_ONCE // max(k, 1)):
-            eta = block.eta[at]
-            which = np.tile(np.arange(len(eta)), k)
-            y = problem.simulate(group, which, np.repeat(q, len(eta), axis=0), np.tile(eta, (k, 1)))
-            y -= group.y[which]
-            out[:, at] = problem.whitened(y, group.weight[which]).reshape(k, len(eta), -1)
+        out = _left(problem, block.group, block.eta, q)
         out -= block.r
         return out
 

@@ -134,29 +134,32 @@ def effect_sense(h, u1, u2, y1, y2, s1, s2, v1, v2, r1, r2, p, first):
 def advance(times, parameters, extras, inputs, weights, memory_weights, longest_step, read, out, final, status):
     """Integrate one block of lanes over the sample times and write what the channels read.
 
-    times (n,) s; parameters (23, LANES) rows of equations.ROWS; extras (12, LANES) parameters of the effect; inputs
-    (8, n) as Inputs.pieces gives them, read where the record is driven (prescribed: the first is the acceleration of
-    the primary, and channel 1 reads the torque that it takes, N m; swings: the fourth is that of a pendulum's pivot,
-    m/s^2, in place of what the ground adds to readings); weights (LANES,) factor on the error tolerance;
-    memory_weights (2,); longest_step: of a rig, s, an argument so that rigs of any pace share a kernel;
-    read (3,) selects acceleration, velocity or displacement by a one among zeros; out (LANES, 2, n + 1) receives the
-    readings (the last column is for what nobody reads), final (LANES,) a sum over the last state, which is finite if
-    all of the record is, status (LANES,). Returns the number of steps that the slowest lane attempted.
+    times (LANES, n) s, or (1, n) of all lanes, as records with inputs have; parameters (23, LANES) rows of
+    equations.ROWS; extras (12, LANES) parameters of the effect; inputs (8, n) as Inputs.pieces gives them, read where
+    the record is driven (prescribed: the first is the acceleration of the primary, and channel 1 reads the torque that
+    it takes, N m; swings: the fourth is that of a pendulum's pivot, m/s^2, in place of what the ground adds to
+    readings); weights (LANES,) factor on the error tolerance; memory_weights (2,); longest_step: of a rig, s, an
+    argument so that rigs of any pace share a kernel; read (3,) selects acceleration, velocity or displacement by a one
+    among zeros; out (LANES, 2, n + 1) receives the readings (the last column is for what nobody reads), final (LANES,)
+    a sum over the last state, which is finite if all of the record is, status (LANES,). Returns the number of steps
+    that the slowest lane attempted.
     """
     # One array, so that LLVM sees that rows do not overlap; a width that it cannot know, so that it vectorises the
     # loop over lanes instead of unrolling it.
     block = np.zeros((BLOCK_ROWS, LANES))
     width = parameters.shape[1]
-    n = times.size
+    clocks, n = times.shape
     end = float(n)
     read_acceleration = read[0]
     read_velocity = read[1]
     read_displacement = read[2]
     memory_weight1 = memory_weights[0]
     memory_weight2 = memory_weights[1]
-    clock = np.empty(n + 3)  # sample times, and more that make the intervals after the end empty
-    for i in range(n + 3):
-        clock[i] = times[min(i, n - 1)]
+    clock = np.empty(clocks * (n + 3))  # sample times, and more that make the intervals after the end empty
+    for row in range(clocks):
+        for i in range(n + 3):
+            clock[row * (n + 3) + i] = times[row, min(i, n - 1)]
+    apart = n + 3 if clocks > 1 else 0
     # Of torque1, torque2, the ground's and the pivot's acceleration: the largest value, and the range of the integral.
     most = np.zeros(4)
     swing = np.zeros(4)
@@ -227,11 +230,12 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
                 block[MORE + 4, lane], block[MORE + 5, lane], block[MORE + 6, lane], block[MORE + 7, lane],
             )  # fmt: skip
             block[Z1, lane], block[Z2, lane] = effect_start(p, rig)
-        now = max(clock[0] - block[DELAY, lane], 0.0)
-        block[REST, lane] = max(clock[1] - block[DELAY, lane], 0.0) - now
-        block[NOW, lane] = clock[0]
-        block[AFTER, lane] = clock[1]
-        block[NEXT, lane] = clock[2]
+        own = lane * apart
+        now = max(clock[own] - block[DELAY, lane], 0.0)
+        block[REST, lane] = max(clock[own + 1] - block[DELAY, lane], 0.0) - now
+        block[NOW, lane] = clock[own]
+        block[AFTER, lane] = clock[own + 1]
+        block[NEXT, lane] = clock[own + 2]
         if driven():
             later = min(1, n - 1)
             block[DRIVE1, lane] = inputs[0, 0] - (j1 + j12) * inputs[2, 0]
@@ -822,7 +826,7 @@ def advance(times, parameters, extras, inputs, weights, memory_weights, longest_
             out[lane, 0, slot] = block[Y1, lane]
             out[lane, 1, slot] = block[Y2, lane]
             i = int(block[SAMPLE, lane]) + 2
-            block[NEXT, lane] = clock[i]
+            block[NEXT, lane] = clock[lane * apart + i]
             if driven():
                 k = min(i - 1, n - 1)
                 moved1 = block[J1, lane] + block[J12, lane]

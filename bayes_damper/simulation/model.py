@@ -132,8 +132,9 @@ class Model:
         parameters : name -> scalar or (n,), SI; names of `equations.ROWS` (theta2_0 defaults to theta0, drag_ratio to
             1; J12, k3t, initial velocities, delay and release_time to 0; what only the coupled rig has may be left out
             for the uncoupled one).
-        times : (n_times,) s on the record's clock, increasing. The rig is released at `delay`; before, it is held.
-            A delay below times[0] means that the record begins after the release.
+        times : (n_times,) s on the record's clock, increasing; or (n, n_times), a clock for each vector, where nothing
+            drives the rig. It is released at `delay`; before, it is held. A delay below the first time means that the
+            record begins after the release.
         effect : parameters of the effect, name -> scalar or (n,), if the model has one.
         torque : (n_times,) N m on the primary, linear between samples: short for `inputs` with nothing else.
         inputs : torques on both bodies and the motion of the ground, on a clock of their own. Where the ground moves,
@@ -175,8 +176,10 @@ class Model:
     ) -> tuple[Array, Array, Array, Inputs | None, list[Any] | None]:
         """Checked arguments: rows, parameters of the effect, sample times, inputs that act, lags of channels."""
         grid = np.ascontiguousarray(times, float)
-        if grid.ndim != 1 or grid.size < 1 or (grid[1:] <= grid[:-1]).any():
-            raise ValueError("times must be one-dimensional and increase from sample to sample")
+        if grid.ndim not in (1, 2) or grid.size < 1 or (grid[..., 1:] <= grid[..., :-1]).any():
+            raise ValueError("times must be one- or two-dimensional and increase from sample to sample")
+        if grid.ndim == 2 and (torque is not None or (inputs is not None and inputs.active)):
+            raise ValueError("a torque or another input needs one clock for all vectors")
         drive = inputs
         if torque is not None:
             if inputs is not None:
@@ -233,13 +236,13 @@ class Model:
         tolerance: float,
     ) -> Simulation:
         """Integrate block by block."""
-        n = max(rows.shape[1], extras.shape[1])
+        n = max(rows.shape[1], extras.shape[1], len(times) if times.ndim == 2 else 1)
         rows = np.array(np.broadcast_to(rows, (rows.shape[0], n)))
         extras = np.array(np.broadcast_to(extras, (extras.shape[0], n)))
         usable = np.isfinite(rows).all(axis=0) & np.isfinite(extras).all(axis=0)
         usable &= (rows[_POSITIVE] > 0.0).all(axis=0)
         outcome = np.where(usable, integrator.COMPLETED, integrator.NOT_FINITE_INPUT)
-        y = np.full((n, self.channels, times.size), np.nan)
+        y = np.full((n, self.channels, times.shape[-1]), np.nan)
         which = np.flatnonzero(usable)
         # Vectors that take similarly many steps share a block: one that is done waits for the others.
         which = which[np.lexsort([rows[ROWS.index(name), which] for name in ("theta0", "k1t", "nu")])]
@@ -254,8 +257,8 @@ class Model:
                 rows[primary] = value
             rows[ROWS.index("delay")], rows[ROWS.index("release_time")] = times[0], 0.0
         first = rows[ROWS.index("delay"), which].min()
-        grid = np.concatenate([[first], times]) if first < times[0] else times
-        skip = grid.size - times.size
+        grid = _begun_before(times, first)
+        skip = grid.shape[-1] - times.shape[-1]
         pieces, at = np.zeros((8, 1)), None
         prescribed = inputs is not None and inputs.motion is not None
         if inputs is not None:
@@ -273,20 +276,25 @@ class Model:
         starts = range(0, which.size, LANES)
 
         def work(first: int, step: int) -> None:
-            out = np.empty((LANES, 2, grid.size + 1))
+            out = np.empty((LANES, 2, grid.shape[-1] + 1))
             final = np.empty(LANES)
             status = np.empty(LANES, np.int64)
             for start in starts[first::step]:
                 width = min(LANES, _WIDTH * math.ceil((which.size - start) / _WIDTH))
                 lanes = which[np.minimum(np.arange(start, start + width), which.size - 1)]
                 kernel(
-                    *(grid, np.ascontiguousarray(rows[:, lanes]), np.ascontiguousarray(extras[:, lanes]), pieces),
+                    *(
+                        grid[None] if grid.ndim == 1 else grid[lanes],
+                        np.ascontiguousarray(rows[:, lanes]),
+                        np.ascontiguousarray(extras[:, lanes]),
+                        pieces,
+                    ),
                     *(np.full(LANES, tolerance), memory_weights, self.longest_step, read, out, final, status),
                 )
                 status[(status == integrator.COMPLETED) & ~np.isfinite(final)] = integrator.NOT_FINITE_RECORD
                 kept = min(LANES, which.size - start)
                 outcome[lanes[:kept]] = status[:kept]
-                there = slice(skip, grid.size) if at is None else at
+                there = slice(skip, grid.shape[-1]) if at is None else at
                 y[lanes[:kept]] = out[:kept, : self.channels, there]
 
         side_by_side(work, len(starts))
@@ -294,6 +302,16 @@ class Model:
         if inputs is not None and prescribed:
             y[:, 0] /= inputs.unit
         return Simulation(y, outcome)
+
+
+def _begun_before(times: Array, first: float) -> Array:
+    """Sample times with one more in front, where one of the records begins after the first release."""
+    if not np.any(first < times[..., 0]):
+        return times
+    if times.ndim == 1:
+        return np.concatenate([[first], times])
+    step = times[:, 1] - times[:, 0] if times.shape[1] > 1 else np.ones(len(times))
+    return np.column_stack([np.minimum(first, times[:, 0] - step), times])
 
 
 def delayed(y: Array, times: Array, lags: Sequence[ArrayLike]) -> Array:

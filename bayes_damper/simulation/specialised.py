@@ -39,7 +39,7 @@ from bayes_damper.simulation.composition import sensor_of_three_states
 
 _COUPLES = {"bodies": 0, "interface": 1, "all": 2}
 _ROW, _TABLE, _CUBE = float64[::1], float64[:, ::1], float64[:, :, ::1]
-_SIGNATURE = (_ROW, _TABLE, _TABLE, _TABLE, _ROW, _ROW, float64, _ROW, _CUBE, _ROW, int64[::1])
+_SIGNATURE = (_TABLE, _TABLE, _TABLE, _TABLE, _ROW, _ROW, float64, _ROW, _CUBE, _ROW, int64[::1])
 """Of the arguments of `advance`."""
 _P = types.UniTuple(float64, MOST_PARAMETERS)  # type: ignore[no-untyped-call]
 _RIG = types.NamedUniTuple(float64, len(Rig._fields), Rig)  # type: ignore[no-untyped-call]

@@ -187,7 +187,15 @@ def _block(nu: float) -> tuple[Any, ...]:
     rows = np.array([np.broadcast_to(table[name], LANES) for name in ROWS], float)
     n = TIMES.size
     return (
-        *(TIMES, rows, np.zeros((MOST_PARAMETERS, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2), LONGEST_STEP),
+        *(
+            TIMES[None],
+            rows,
+            np.zeros((MOST_PARAMETERS, LANES)),
+            np.zeros((8, n)),
+            np.ones(LANES),
+            np.zeros(2),
+            LONGEST_STEP,
+        ),
         *(np.array([1.0, 0.0, 0.0]), np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)),
     )
 

@@ -262,7 +262,7 @@ def test_compiled_and_plain_python_agree(coupled):
         )
         out, final, status = np.empty((LANES, 2, n + 1)), np.empty(LANES), np.empty(LANES, np.int64)
         advance(
-            SHORT[:n], np.array(rows), np.zeros((12, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
+            SHORT[None, :n], np.array(rows), np.zeros((12, LANES)), np.zeros((8, n)), np.ones(LANES), np.zeros(2),
             integrator.LONGEST_STEP, np.array([1.0, 0.0, 0.0]), out, final, status,
         )  # fmt: skip
         results.append(out[:, : 1 + coupled, :n])
@@ -402,7 +402,7 @@ def _block(parameters):
     n = SHORT.size
     return (
         *(
-            SHORT,
+            SHORT[None],
             rows,
             np.full((12, LANES), 0.5),
             np.zeros((8, n)),

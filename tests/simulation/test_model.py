@@ -56,6 +56,20 @@ def test_delays_of_others_do_not_touch_a_record():
         np.testing.assert_array_equal(Model().simulate(_take(everything, [one]), TIMES).y[0], whole[one])
 
 
+@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+@pytest.mark.parametrize("formula", [None, EFFECTS["sensor_bandwidth"].variants[0]], ids=["bare", "filter"])
+def test_each_vector_may_have_a_clock_of_its_own(formula, quantity):
+    """Bitwise what it has alone, also where it begins before its release and others after theirs."""
+    rng, n = np.random.default_rng(3), 21
+    everything = _table(n) | {"delay": rng.uniform(-4e-3, 4e-3, n)}
+    times = TIMES + 3e-4 * rng.uniform(-1.0, 1.0, (n, TIMES.size)) + rng.choice([0.0, 3e-3], (n, 1))
+    given = {"effect": None if formula is None else {"time": 2e-3}, "quantity": quantity}
+    whole = Model(effect=formula).simulate(everything, times, **given).y
+    for k in range(n):
+        alone = Model(effect=formula).simulate(_take(everything, [k]), times[k], **given).y[0]
+        np.testing.assert_array_equal(whole[k], alone)
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("name", ["k1t", "nu", "theta0", "delay"])
 def test_what_is_not_finite_is_a_counted_failure_and_harms_no_neighbour(name, bad):
@@ -99,6 +113,8 @@ def test_faulty_calls_are_refused():
         Model().simulate(reference.BASE, [0.0, 0.0])
     with pytest.raises(ValueError, match="one torque per sample"):
         Model().simulate(reference.BASE, TIMES, torque=np.zeros(3))
+    with pytest.raises(ValueError, match="one clock"):
+        Model().simulate(reference.BASE, np.stack([TIMES, TIMES]), torque=np.zeros(TIMES.size))
     with pytest.raises(ValueError, match="no effect"):
         Model().simulate(reference.BASE, TIMES, effect={"a": 1.0})
 
