@@ -271,7 +271,10 @@ def _sites(
         place, nameless = done_at
         rest = {site: after.probabilities.get(site, 0.0) for site in (*known, place)}
         at_home = 1.0 - (max(rest.values()) - rest[place])
-        imitated = (1.0 - answers.left.share) * (1.0 if nameless else -math.expm1(-answers.left.odd)) * at_home
+        closed = 1.0 - answers.left.share
+        if nameless:  # without repeats `left` is that of the best set of effects with names
+            closed = max(closed, after.probabilities.get("none", 0.0))
+        imitated = closed * (1.0 if nameless else -math.expm1(-answers.left.odd)) * at_home
     for site in known:
         share = imitated * (site == place) + (1.0 - imitated) * weights[site] / total
         sites[site] += answers.probabilities["unknown"] * share

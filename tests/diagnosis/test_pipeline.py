@@ -1177,6 +1177,11 @@ def test_a_rig_of_one_body_has_no_place_between_two():
     # A cause without a name acts where its formula does.
     nameless = _sites(odd, EFFECTS, place, place, sites_of(alone), done_at=("sensor", True))
     assert nameless["sensor"] >= placed["sensor"]
+    # Effects with names leave nearly all, it leaves nothing.
+    bare = SimpleNamespace(**vars(answers), left=Left(0.0, 0.95))
+    nothing = SimpleNamespace(probabilities={**dict.fromkeys(SITES, 0.01), "none": 0.94})
+    assert _sites(bare, EFFECTS, place, nothing, sites_of(alone), done_at=("bearings", True))["bearings"] > 0.8
+    assert _sites(bare, EFFECTS, place, nothing, sites_of(alone), done_at=("bearings", False))["bearings"] < 0.4
     # What it leaves lies at the spring: so does the cause.
     rest = SimpleNamespace(probabilities={**dict.fromkeys(SITES, 0.02), "ground1": 0.9})
     assert _sites(odd, EFFECTS, place, rest, sites_of(alone), done_at=("sensor", False))["sensor"] < 0.3
