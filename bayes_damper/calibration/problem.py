@@ -161,39 +161,22 @@ class Problem:
     def _inputs(self, group: Group, which: Indices, q: Array, eta: Array) -> tuple[dict[str, Any], dict[str, Any]]:
         """Arguments of Model.simulate for vectors q (n, size), eta (n, m) on the group's trials `which` (n,)."""
         e = self.experiment
-        rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
-        rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
-        rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
-        cases = [e.trials[i].case for i in group.trials]
-        for name, middles in self._medians.items():
-            own = [middles[case] for case in cases]
-            rig[name] = own[0] if len(set(own)) == 1 else np.array(own)[which]
-        if self.nominal == "linear":
-            rig |= {"mu": 0.0, "drag": 0.0}
-        for name in ("theta0", "delay"):
-            if name in e.levels and e.start == "rest":
-                rig[name] = np.array([middle(self.prior(name, case)) for case in cases])[which]
-        # A rig without magnet, or with a constant pull, has no use for these.
-        rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
-        if not e.magnet:
-            rig["mu"] = 0.0
+        rig = _declared(self, self._medians, group, which)
         effect: dict[str, Any] = {}
-        trends: dict[str, Array] = {}
+        order = np.array([e.trials[i].order for i in group.trials])[which]
         for c, x in zip(self.coordinates, _values(self.coordinates, q), strict=True):
             if c.role == "effect":
                 effect[c.name.removeprefix(OF_EFFECT)] = x
             elif c.role in ("sensor", "lag"):
                 continue
             elif c.role == "trend":
-                trends[c.name.removeprefix(TREND)] = x
+                name = c.name.removeprefix(TREND)
+                rig[name] = rig.get(name, 1.0) * np.exp(order * x)
             elif c.role == "stiffness" or c.case is not None:
                 hit = self.touched(c, group)[which]
                 rig[c.parameter] = np.where(hit, x, rig[c.parameter])
             else:
                 rig[c.name] = x
-        order = np.array([e.trials[i].order for i in group.trials])[which]
-        for name, x in trends.items():
-            rig[name] = rig.get(name, 1.0) * np.exp(order * x)
         for i, (name, mean, sd) in enumerate(group.nuisances):
             x = mean[which] + sd[which] * eta[:, i]
             if name.startswith("ln_"):
@@ -307,6 +290,30 @@ def _model(experiment: Experiment, coupled: bool, effect: Variant | None) -> Mod
     """The model of one configuration."""
     law = experiment.coupling_law if coupled else "constant"
     return Model(coupled, experiment.normal_force, experiment.restoring, effect, law, longest_step(experiment))
+
+
+def _declared(
+    problem: Problem, medians: Mapping[str, Mapping[str, float]], group: Group, which: Indices
+) -> dict[str, Any]:
+    """What the rig has for a group's trials `which` (n,) where nothing is fitted: declared values and prior medians."""
+    e = problem.experiment
+    rig: dict[str, Any] = {name: value for name, (value, _) in e.constants.items()}
+    rig["k1t"] = np.array([e.stiffnesses[e.trials[i].k1t][0] for i in group.trials])[which]
+    rig["theta0"] = np.array([e.trials[i].theta0 for i in group.trials])[which]
+    cases = [e.trials[i].case for i in group.trials]
+    for name, middles in medians.items():
+        own = [middles[case] for case in cases]
+        rig[name] = own[0] if len(set(own)) == 1 else np.array(own)[which]
+    if problem.nominal == "linear":
+        rig |= {"mu": 0.0, "drag": 0.0}
+    for name in ("theta0", "delay"):
+        if name in e.levels and e.start == "rest":
+            rig[name] = np.array([middle(problem.prior(name, case)) for case in cases])[which]
+    # A rig without magnet, or with a constant pull, has no use for these.
+    rig = {"N0": 0.0, "R": 1.0, "r": 1.0} | rig
+    if not e.magnet:
+        rig["mu"] = 0.0
+    return rig
 
 
 def _values(coordinates: Sequence[Coordinate], q: Array) -> Array:

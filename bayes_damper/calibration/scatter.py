@@ -630,7 +630,8 @@ def _about_trend(fit: Calibration, size: Size) -> Size:
     if TREND + size.name not in fit.problem.names:
         return size
     spread = float(np.std([fit.problem.experiment.trials[i].order for i in fit.problem.trials]))
-    low, high = sorted(map(abs, fit.interval(TREND + size.name)))
+    ends = fit.interval(TREND + size.name)
+    low, high = (0.0 if ends[0] < 0.0 < ends[1] else min(map(abs, ends))), max(map(abs, ends))
     sd = math.hypot(size.sd, spread * change_over_campaign(fit, size.name))
     return replace(size, sd=sd, low=math.hypot(size.low, spread * low), high=math.hypot(size.high, spread * high))
 

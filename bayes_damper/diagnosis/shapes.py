@@ -61,7 +61,7 @@ class Scale:
     peak: float
     """Frequency of the residuals' strongest line above the rig's own, rad/s; 0 if unknown."""
     back: float = 0.0
-    """Time after a release until which the rig is `BACK`, s; 0 where nothing is released."""
+    """Time from a release to the end of `BACK`, s; 0 where nothing is released."""
 
 
 @dataclass(frozen=True, eq=False)

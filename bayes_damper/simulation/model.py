@@ -248,19 +248,13 @@ class Model:
         which = which[np.lexsort([rows[ROWS.index(name), which] for name in ("theta0", "k1t", "nu")])]
         if which.size == 0:
             return Simulation(y, outcome)
-        if inputs is not None and inputs.motion is not None:
-            for name, other, value in zip(
-                ("theta2_0", "omega2_0"), ("theta0", "omega1_0"), inputs.begun(float(times[0])), strict=True
-            ):
-                second, primary = ROWS.index(name), ROWS.index(other)
-                rows[second] += value - rows[primary]
-                rows[primary] = value
-            rows[ROWS.index("delay")], rows[ROWS.index("release_time")] = times[0], 0.0
+        prescribed = inputs is not None and inputs.motion is not None
+        if inputs is not None and prescribed:
+            _begin_as_prescribed(rows, inputs, float(times[0]))
         first = rows[ROWS.index("delay"), which].min()
         grid = _begun_before(times, first)
         skip = grid.shape[-1] - times.shape[-1]
         pieces, at = np.zeros((8, 1)), None
-        prescribed = inputs is not None and inputs.motion is not None
         if inputs is not None:
             grid, where = inputs.grid(grid)
             pieces = inputs.pieces(grid)
@@ -302,6 +296,15 @@ class Model:
         if inputs is not None and prescribed:
             y[:, 0] /= inputs.unit
         return Simulation(y, outcome)
+
+
+def _begin_as_prescribed(rows: Array, inputs: Inputs, begin: float) -> None:
+    """Let parameters begin with the primary as its motion is prescribed, and the secondary as far from it as given."""
+    for name, other, value in zip(("theta2_0", "omega2_0"), ("theta0", "omega1_0"), inputs.begun(begin), strict=True):
+        second, primary = ROWS.index(name), ROWS.index(other)
+        rows[second] += value - rows[primary]
+        rows[primary] = value
+    rows[ROWS.index("delay")], rows[ROWS.index("release_time")] = begin, 0.0
 
 
 def _begun_before(times: Array, first: float) -> Array:
