@@ -155,7 +155,7 @@ CHANGE = Effect(
 )  # fmt: skip
 ONE_WAY = Effect(
     name=UNKNOWN,
-    site="bearings",
+    site=CHANGE.site,  # of one kind with it: together they are as likely beforehand as one effect
     summary="A drag depends on the direction of motion, for a reason that the library does not name.",
     looks_like="Swings to both sides that lose not the same, about a middle that moves as they fade.",
     hides_behind=("drag", "mu", "theta0"),

@@ -141,7 +141,7 @@ def test_what_has_no_name_adds_up_and_a_second_channel_needs_a_second_body():
     """Each kind is as likely beforehand as an effect; the formulas of a kind share that."""
     every = [Candidate(effect, v, (), None, 5.0) for effect, v in generics_of(make_experiment(1, n=50))]
     assert len(every) == 5
-    assert family_evidence(every) == {UNKNOWN: pytest.approx(5.0 + math.log(3.0))}
+    assert family_evidence(every) == {UNKNOWN: pytest.approx(5.0 + math.log(2.0))}
     alone = generics_of(make_experiment(1, n=50, coupled=False))
     assert [v.name for effect, v in alone if effect is CURVED] == ["channel1"]
 
