@@ -38,7 +38,6 @@ largest, an acceleration above it."""
 _HELD, _SOON = 0.3, 0.2
 """Radians of the oscillation within which a record of accelerations that begins at 0 begins its motion, where it does
 not rest first; and within which they then reach what a release has, where it jumps and does not swing there."""
-_RECUR = 0.9  # share of the readings that may be distinct in a quantised channel: a few hundred of an encoder's steps
 _APART, _OF_MOTION = 4.0, 0.1  # times the distance of repeats from each other, and of their rms, of one that is odd
 _COMMON = 8  # readings in which repeats are compared, at least
 _UNLIKE = 0.3  # rms difference over rms, from which repeats are held to be of different channels
@@ -110,7 +109,7 @@ def _look_at_channel(head: Head, trial: Trial, i: int, omega: float, grows: bool
             f"{where}: stands still at {y[held_for + stuck[0]]:.4g} from {start:.4g} to {end:.4g} s, "
             f"{stuck[1] - stuck[0]} equal readings: the logger or the sensor stopped; leave them out of the record"
         )
-    if (rounded := step or look.resolution_of(y, _RECUR)) > noise:
+    if (rounded := step or look.resolution_of(y, look.RECUR)) > noise:
         warnings.append(f"{where}: quantised in steps of {rounded:.3g}; noise below that cannot be seen")
     strongest = look.dominant_frequency(trial.times, y)
     slowest = 2.0 * math.pi * strongest  # of a coupled rig's slow mode: round tops

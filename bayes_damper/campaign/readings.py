@@ -23,6 +23,7 @@ STOPPED = 8  # equal readings of a sensor that never repeats itself otherwise
 FILLED_RUNS, FILLED = 8, 0.4  # runs of readings that were put in, and the least share of the steps that they hold
 STANDS_OUT, EQUAL = 12.0, 3  # noises by which a top stands out, and equal readings that make it flat
 TURNED, TOP = 1.4, 6.0  # times that a sinusoid turns for, which a flat top lasts, and the noises within which it lies
+RECUR = 0.9  # share of the readings that may be distinct in a quantised channel: a few hundred of an encoder's steps
 UNITS = (0.1, 0.01, 1e-3, 1e-4, 1e-5)  # s, that stamps are rounded to
 ROUNDED_OFF = 0.55  # of such a unit: half of it, and what a line through the stamps errs by
 SPIKE = 10.0  # noises by which a single reading leaves its neighbours
@@ -274,7 +275,7 @@ def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held
     if held_at_first:
         readings = readings[times >= min(0.0, times[-1])]
     centre = float(np.median(readings))
-    step = resolution_of(readings)
+    step = resolution_of(readings) or resolution_of(readings, RECUR)
     dt = float(np.median(np.diff(times)))
     for side in (-1.0, 1.0):
         y = side * (readings - centre)
@@ -309,9 +310,10 @@ def _flat_by_equality(y: Array, top: float, step: float, dt: float, omega: float
 def _cut_off(y: Array, a: int, b: int, step: float) -> bool:
     """Whether rounded readings end at the level of y[a:b], and do not just turn round within one step.
 
-    A smooth turn spends at most 4.9 times as long in its last step as in the one before it, whatever its frequency.
+    A smooth turn spends at most 4.9 times as long in its last step as in the one before it, whatever its frequency. In
+    noise readings of both steps alternate there.
     """
-    below = (y > y[a] - 1.5 * step) & (y < y[a] - 0.5 * step)
+    below = y > y[a] - 1.5 * step
     before = next((i for i in range(a - 1, -1, -1) if not below[i]), -1)
     after = next((i for i in range(b, y.size) if not below[i]), y.size)
     sides = [n for n, inside in ((a - 1 - before, a > 0), (after - b, b < y.size)) if inside]

@@ -49,3 +49,19 @@ def test_a_channel_that_is_held_at_first_is_not_clipped_whatever_its_noise():
         noise = np.random.default_rng(seed).normal(0.0, 2e-3, times.size)
         y = np.where(times < 0.08, 1.0, np.exp(-3.0 * (times - 0.08)) * np.cos(45.0 * (times - 0.08))) + noise
         assert flat_tops_of(times, y, 2e-3, 45.0, True) == []
+
+
+@pytest.mark.parametrize(("step", "noise", "decay", "n"), [(5.1e-3, 1.5e-3, 0.2, 1500), (1.3e-3, 2e-4, 0.05, 400)])
+def test_rounded_readings_that_turn_round_in_noise_are_not_clipped_and_cut_ones_are(step, noise, decay, n):
+    """Readings of two steps alternate at such a turn; few are equal where they are as many as the steps."""
+    times = np.linspace(0.0, 5.0, n)
+    omega, found = 2.0 * math.pi, 0
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        y = 0.2 * np.exp(-decay * times) * np.sin(omega * times + rng.uniform(0.0, 6.0)) + rng.normal(0.0, noise, n)
+        rounded = step * np.round(y / step)
+        found += len(flat_tops_of(times, rounded, noise, omega, False))
+        cut = np.minimum(rounded, step * np.round(0.1 / step))
+        if n > 1000:  # a few readings to a swing show no flat top
+            assert len(flat_tops_of(times, cut, noise, omega, False)) == 1
+    assert found <= 1
