@@ -112,8 +112,7 @@ def test_a_site_map_takes_the_trials_slice_by_slice(fit, monkeypatch):
     assert len(sizes) == 6  # two uncoupled trials of 150 readings at a time, coupled ones one by one
     assert len(set(sizes)) == 1
     for site, value in whole.log_evidence.items():
-        # Steps are as long as the stiffest case of a slice allows.
-        assert sliced.log_evidence[site] == pytest.approx(value, abs=0.05)
+        assert sliced.log_evidence[site] == pytest.approx(value, abs=1e-6)
     assert sliced.leaders[sliced.best].columns.tolist() == whole.leaders[whole.best].columns.tolist()
 
 

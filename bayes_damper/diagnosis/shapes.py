@@ -90,7 +90,7 @@ def scale_of_motions(motions: Sequence[Motion], peak: float = 0.0, released: boo
     """The campaign's largest values; peak as in `Scale`; released : whether the trials begin with a release."""
     coupled = [m for m in motions if m.group.coupled]
     period = max(float(np.median(np.diff(m.grid))) for m in motions)
-    omega = float(np.median([np.median(m.w1.std(axis=1) / (m.th1.std(axis=1) + 1e-300)) for m in motions]))
+    omega = float(np.median(np.concatenate([m.w1.std(axis=1) / (m.th1.std(axis=1) + 1e-300) for m in motions])))
     omega, channels = max(omega, 1e-3 / period), max(m.y.shape[1] for m in motions)
     return Scale(
         th1=scale_of([m.th1 for m in motions]), w1=scale_of([m.w1 for m in motions]),

@@ -329,18 +329,22 @@ def peak_of(fit: Calibration) -> float:
     """Frequency (rad/s) of the strongest line of the residuals above 1.5 times the rig's own, 0 if there is none."""
     experiment = fit.problem.experiment
     own = math.sqrt(max(k for k, _ in experiment.stiffnesses) / experiment.constants["J1"][0])
-    best, peak = 0.0, 0.0
+    found: dict[tuple[bool, bytes], tuple[Array, Array]] = {}  # of trials that share a clock, however they are sliced
     for block in fit.linear.blocks:
         times = block.group.times
         if times.size < 32:
             continue
         r = block.r.reshape(block.r.shape[0], -1, times.size)
         power = np.sum(np.abs(np.fft.rfft(r, 4 * times.size, axis=2)) ** 2, axis=(0, 1)) / times.size
-        omega = 2.0 * np.pi * np.fft.rfftfreq(4 * times.size, float(np.median(np.diff(times))))
-        power = np.where((omega > 1.5 * own) & (omega < 0.8 * omega[-1]), power, 0.0)
-        k = int(np.argmax(power))
-        if power[k] > best:
-            best, peak = float(power[k]), float(omega[k])
+        omega = np.asarray(2.0 * np.pi * np.fft.rfftfreq(4 * times.size, float(np.median(np.diff(times)))))
+        key = block.group.coupled, times.tobytes()
+        found[key] = omega, np.asarray(power + found[key][1] if key in found else power)
+    best, peak = 0.0, 0.0
+    for omega, power in found.values():
+        above = np.where((omega > 1.5 * own) & (omega < 0.8 * omega[-1]), power, 0.0)
+        k = int(np.argmax(above))
+        if above[k] > best:
+            best, peak = float(above[k]), float(omega[k])
     return peak
 
 
