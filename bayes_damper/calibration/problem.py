@@ -163,14 +163,13 @@ class Problem:
         e = self.experiment
         rig = _declared(self, self._medians, group, which)
         effect: dict[str, Any] = {}
-        order = np.array([e.trials[i].order for i in group.trials])[which]
         for c, x in zip(self.coordinates, _values(self.coordinates, q), strict=True):
             if c.role == "effect":
                 effect[c.name.removeprefix(OF_EFFECT)] = x
             elif c.role in ("sensor", "lag"):
                 continue
             elif c.role == "trend":
-                name = c.name.removeprefix(TREND)
+                name, order = c.name.removeprefix(TREND), np.array([e.trials[i].order for i in group.trials])[which]
                 rig[name] = rig.get(name, 1.0) * np.exp(order * x)
             elif c.role == "stiffness" or c.case is not None:
                 hit = self.touched(c, group)[which]

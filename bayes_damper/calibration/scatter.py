@@ -621,8 +621,7 @@ def sizes_shown(fit: Calibration) -> list[Size]:
         if fit not in _AGAIN:
             _AGAIN[fit] = {s.name: s for s in learn_scatter(fit).sizes}
         sizes = tuple(_AGAIN[fit][s.name] for s in sizes if s.name in _AGAIN[fit])
-    shown = [_about_trend(fit, s) for s in sizes if s.gained > SHOWN_FROM or TREND + s.name in fit.problem.names]
-    return [s for s in shown if s.sd > 0.0]
+    return [_about_trend(fit, s) for s in sizes if s.gained > SHOWN_FROM or TREND + s.name in fit.problem.names]
 
 
 def _about_trend(fit: Calibration, size: Size) -> Size:

@@ -275,7 +275,7 @@ def flat_tops_of(times: Array, readings: Array, noise: float, omega: float, held
     if held_at_first:
         readings = readings[times >= min(0.0, times[-1])]
     centre = float(np.median(readings))
-    step = resolution_of(readings) or resolution_of(readings, RECUR)
+    step = resolution_of(readings, RECUR)
     dt = float(np.median(np.diff(times)))
     for side in (-1.0, 1.0):
         y = side * (readings - centre)

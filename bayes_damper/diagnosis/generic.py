@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from bayes_damper.effects._shapes import friction
 from bayes_damper.effects.base import Effect, EffectParameter, Site, Variant
 from bayes_damper.priors.distributions import LogUniform, Normal
 from bayes_damper.rig.parameters import OF_EFFECT
@@ -21,16 +22,19 @@ UNKNOWN = "unknown"
 
 
 @lane
+def bearing(w, c, rig):
+    """Torque of a nominal bearing of viscous constant c at a velocity."""
+    return c * w + rig.drag * smooth_sign(rig.nu * w, rig.tail)
+
+
+@lane
 def changed(th1, th2, w1, w2, share, p, rig):
     """A share of each nominal torque, times a factor of its own: spring, bearings, coupling, friction of the faces."""
-    phi = th1 - th2
-    v = w1 - w2
+    phi, v = th1 - th2, w1 - w2
     spring = p[0] * rig.k1t * th1
-    bearing1 = p[1] * (rig.c1t * w1 + rig.drag * smooth_sign(rig.nu * w1, rig.tail))
-    bearing2 = p[1] * (rig.c3t * w2 + rig.drag * smooth_sign(rig.nu * w2, rig.tail))
-    pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.slope * abs(phi))
-    joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * pull * smooth_sign(rig.nu * v, rig.tail)
-    return -share * (spring + bearing1 + joint), share * (joint - bearing2)
+    joint = p[2] * (rig.k2t * phi + rig.c2t * v) + p[3] * friction(phi, v, rig)
+    held1, held2 = p[1] * bearing(w1, rig.c1t, rig), p[1] * bearing(w2, rig.c3t, rig)
+    return -share * (spring + held1 + joint), share * (joint - held2)
 
 
 @lane
@@ -49,13 +53,10 @@ def settling(t, th1, th2, w1, w2, z1, z2, p, rig):
 def one_way(t, th1, th2, w1, w2, z1, z2, p, rig):
     """A share of each drag that keeps its direction: bearings, damping of the coupling, friction of the faces."""
     v = w1 - w2
-    s1, s2 = smooth_sign(rig.nu * w1, rig.tail), smooth_sign(rig.nu * w2, rig.tail)
-    s = smooth_sign(rig.nu * v, rig.tail)
-    bearing1 = p[0] * s1 * (rig.c1t * w1 + rig.drag * s1)
-    bearing2 = p[0] * s2 * (rig.c3t * w2 + rig.drag * s2)
-    pull = rig.mu * rig.N0 * rig.R * max(0.0, 1.0 - rig.slope * abs(th1 - th2))
-    joint = p[1] * rig.c2t * v * s + p[2] * pull * s * s
-    return -bearing1 - joint, joint - bearing2
+    held1 = p[0] * bearing(w1, rig.c1t, rig) * smooth_sign(rig.nu * w1, rig.tail)
+    held2 = p[0] * bearing(w2, rig.c3t, rig) * smooth_sign(rig.nu * w2, rig.tail)
+    joint = (p[1] * rig.c2t * v + p[2] * friction(th1 - th2, v, rig)) * smooth_sign(rig.nu * v, rig.tail)
+    return -held1 - joint, joint - held2
 
 
 @lane
